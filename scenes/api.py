@@ -63,12 +63,16 @@ def vehicle_file(name_or_path: str) -> Path:
 
 @dataclass(frozen=True, slots=True)
 class Guests:
-    """Who comes into a scene, beside its traffic."""
+    """Who comes into a scene, beside its traffic, and how the vehicle's sensors are mounted."""
 
     vehicle: str = DEFAULT_VEHICLE
     """as for `vehicle_file`"""
     intruders: int = 0
     """that wait for a fault"""
+    camera_turn_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """roll, pitch and yaw of the cameras from their mount on the vehicle"""
+    lidar_turns_deg: tuple[tuple[float, float, float] | None, ...] = ((0.0, 0.0, 0.0), None)
+    """likewise of the sites ``lidar_0`` and ``lidar_1``; None: as the vehicle has it"""
 
 
 NO_GUESTS = Guests()

@@ -13,6 +13,7 @@ import numpy as np
 from touchdown.scenes import api
 from touchdown.scenes.authoring.draft import SceneDraft
 from touchdown.scenes.authoring.light import light_file, lit_by, set_sky
+from touchdown.scenes.authoring.mounts import mount_sensors
 from touchdown.scenes.registry import dials_of, scene_generator
 from touchdown.scenes.traffic.routes import Traffic
 
@@ -61,6 +62,7 @@ def load_scene(
     movers = Traffic(traffic or api.TrafficParams(), guests.intruders, name, seed)
     with lit_by(light, sun):
         spec, draft = compose_spec(name_or_path, seed, options, dials, guests.vehicle)
+    mount_sensors(spec, guests)
     movers.add_bodies(spec, draft.surfaces)
     scene = movers.routed(compile_scene(spec, draft, name, seed, name_or_path))
     dials = dials_of(name_or_path, dials)

@@ -39,6 +39,7 @@ from touchdown.sim.params import Heading as Heading
 from touchdown.sim.params import ImuParams as ImuParams
 from touchdown.sim.params import ImuSheet as ImuSheet
 from touchdown.sim.params import LampParams as LampParams
+from touchdown.sim.params import LensModel as LensModel
 from touchdown.sim.params import LidarParams as LidarParams
 from touchdown.sim.params import LidarPreset as LidarPreset
 from touchdown.sim.params import LidarSheet as LidarSheet
@@ -135,8 +136,8 @@ class WorldParams:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class CameraIntrinsics:
-    """Pinhole with OpenCV's five distortion coefficients (k1, k2, p1, p2, k3); pixel centres at
-    integer coordinates."""
+    """Pinhole with OpenCV's five distortion coefficients (k1, k2, p1, p2, k3), or its fisheye with
+    four (k1, k2, k3, k4, and 0); pixel centres at integer coordinates."""
 
     width: int
     height: int
@@ -145,6 +146,7 @@ class CameraIntrinsics:
     cx: float
     cy: float
     distortion: Array = field(default_factory=lambda: np.zeros(5))
+    lens: LensModel = "pinhole"
 
     def matrix(self) -> Array:
         """K, (3, 3)."""

@@ -30,6 +30,7 @@ from touchdown.sim.dust import DustCloud
 from touchdown.sim.effects import Effects
 from touchdown.sim.faults.disturbances import Disturbances, Weather
 from touchdown.sim.frames import so3_log
+from touchdown.sim.lidar.pair import known_pair, merged
 from touchdown.sim.lidar.sensor import LidarSensor
 from touchdown.sim.lidar.surface_detail import SurfaceDetail
 from touchdown.sim.moving import BodyTrack, MovingBodies
@@ -64,6 +65,7 @@ class ImagingSensors:
         self.camera = self._make_camera(CAMERA_NAME)
         self._right: CameraSensor | None = None
         self._lidar: LidarSensor | None = None
+        self._second: LidarSensor | None = None
         self._image_period = 0
         self._shutter = ShutterClock(params.camera, self._sim, seed, self.camera.takes_time)
         self._drawn: tuple[int, Snapshot] | None = None
@@ -96,9 +98,12 @@ class ImagingSensors:
             wind = self._params.wind
             speed = wind.mean_kmh / 3.6 * Wind(wind, self._seed).mean_direction[:2]
             optics = None if self.plants is None else self.plants.optics
-            self._lidar = LidarSensor(
-                self._scene, self._params.lidar, self._seed, air, speed, self._dust, optics
-            )
+            about = (self._scene, self._params.lidar, self._seed, air, speed, self._dust, optics)
+            self._lidar = LidarSensor(*about)
+            if self.mounts.second_lidar is not None:
+                self._second = LidarSensor(*about, number=1)
+                pair = self.mounts.lidar.inverse() @ self.mounts.second_lidar
+                self._known_pair = known_pair(pair, self._params.lidar, self._seed)
         if needs.stereo and self._right is None:
             self._right = self._make_camera(RIGHT_CAMERA)
 
@@ -230,7 +235,12 @@ class ImagingSensors:
             self.moving.tracks(track.times_s),
         )
         self._lidar.effects.end_message()
-        return scan
+        if self._second is None or self.mounts.second_lidar is None:
+            return scan
+        ticks = scan.start_tick, scan.end_tick, self._sim.tick_hz
+        moving = self.moving.tracks(track.times_s)
+        second = self._second.scan(*ticks, track, self.mounts.second_lidar, moving)
+        return merged(scan, second, self._known_pair)
 
     def _render(
         self, snapshot: Snapshot, drawn_tick: int, track: BodyTrack | None, tick: int, stamp: Stamp

@@ -19,6 +19,7 @@ Positive = Annotated[float, Gt(0)]
 NotNegative = Annotated[float, Ge(0)]
 Fraction = Annotated[float, Interval(ge=0, le=1)]
 Count = Annotated[int, Gt(0)]
+LensModel = Literal["pinhole", "fisheye"]
 CountOrZero = Annotated[int, Ge(0)]
 Heading = Annotated[float, Interval(ge=-360, le=360)]
 """degrees"""
@@ -56,6 +57,9 @@ class CameraParams:
 
     __pydantic_config__ = FORBID_EXTRA
 
+    mount_deg: Turn = (0.0, 0.0, 0.0)
+    """roll, pitch and yaw by which the cameras are turned from their mount on the vehicle; pitch
+    -20 turns their view ahead"""
     width: Count = 848
     """pixels"""
     height: Count = 480
@@ -68,8 +72,11 @@ class CameraParams:
     """Standard deviation of the grey-level noise (of 255), where ``exposure`` makes none."""
     samples: CountOrZero = 0
     """Multisampling samples a pixel; 4 smooths silhouettes and nearly doubles the drawing time."""
+    lens: LensModel = "pinhole"
+    """``pinhole``, or ``fisheye``: angles from the axis are mapped to radii in proportion
+    (equidistant)"""
     distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
-    """k1, k2, p1, p2, k3 of OpenCV's lens model"""
+    """k1, k2, p1, p2, k3 of OpenCV's lens model; of a fisheye k1, k2, k3, k4 and 0"""
     gain: Positive = 1.0
     """exposure relative to the scene's own, linear in light; what it clips is lost. With
     ``exposure``: relative to what its control chooses"""
@@ -180,13 +187,15 @@ class ImuParams(ImuSheet):
     its biases drift by the data sheet's temperature coefficients"""
 
 
-LidarPreset = Literal["horizon", "avia", "mid360"]
+LidarPreset = Literal["horizon", "avia", "mid360", "os1_16", "xt16"]
+Turn = tuple[float, float, float]
+"""roll, pitch and yaw in degrees, about the body's forward, left and up axes in this order"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class LidarSheet:
-    """What a data sheet says of a Livox-like scanning LIDAR. Defaults: Livox Horizon
-    (manufacturer's data sheet)."""
+    """What a data sheet says of a scanning LIDAR. Defaults: Livox Horizon (manufacturer's data
+    sheet)."""
 
     __pydantic_config__ = FORBID_EXTRA
 
@@ -204,9 +213,22 @@ class LidarSheet:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class LidarParams(LidarSheet):
-    """A Livox-like scanning LIDAR, and what it meets in the world. Defaults: Livox Horizon
-    (manufacturer's data sheet)."""
+    """A scanning LIDAR, and what it meets in the world. Defaults: Livox Horizon (manufacturer's
+    data sheet)."""
 
+    mount_deg: Turn = (0.0, 0.0, 0.0)
+    """roll, pitch and yaw by which the sensor is turned from its mount on the vehicle; pitch -30
+    turns the view of one that looks down ahead, pitch -90 lays one that looks all round on its side
+    """
+    second_mount_deg: Turn | None = None
+    """a second LIDAR of the same kind, turned so from the mount ``lidar_1``, or ``lidar_0`` where
+    the vehicle has no other; its scans are merged into those of the first. None: only that of a
+    vehicle with a mount ``lidar_1``"""
+    pair_rotation_sigma_deg: NotNegative = 0.0
+    """error of what is known of the second LIDAR against the first: rotation about each axis,
+    standard deviation"""
+    pair_translation_sigma_m: NotNegative = 0.0
+    """likewise, along each axis"""
     divergence: bool = True
     """True: beams have a width and split into several echoes at edges. False: rays without width.
     """

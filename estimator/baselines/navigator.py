@@ -208,7 +208,9 @@ class Navigator:
         heading_sigma_deg: float = math.inf,
         baro_sigma_m: float = math.inf,
     ) -> None:
-        self.rig, self.needs = rig, needs
+        undistorter = Undistorter(rig)
+        self.grey = undistorter.grey
+        self.rig, self.needs = undistorter.rig, needs
         self._known_start = known_start
         self._heading_sigma = math.radians(heading_sigma_deg)
         self._guard = InputGuard(rig, needs.camera_hz)
@@ -227,7 +229,6 @@ class Navigator:
         self._azimuth: float | None = None if known_start else field_azimuth(rig.nav.magnetometer)
         self._readings = np.zeros(2)
         self._pad_yaw = 0.0
-        self.grey = Undistorter(rig).grey
         self.skipped = 0
         self.rate_imu: Array = np.zeros(3)
         """(3,) rad/s at the epoch, bias removed"""

@@ -61,7 +61,6 @@ class OpticalFlowEstimator:
         params: OpticalFlowParams | None = None,
         priors: CalibrationPriors | None = None,
     ) -> None:
-        self._rig = rig
         self._params = params = params or OpticalFlowParams()
         self.needs = SensorNeeds(
             camera_hz=params.camera_hz, rangefinder=True, magnetometer=True, barometer=True
@@ -70,6 +69,7 @@ class OpticalFlowEstimator:
             rig, self.needs, known_start=True, priors=priors,
             heading_sigma_deg=params.heading_sigma_deg, baro_sigma_m=params.baro_sigma_m,
         )  # fmt: skip
+        self._rig = rig = self._nav.rig
         self._ground = GroundBelow(rig, params.ground_memory_s)
         self._shutter = ShutterModel(rig)
         self._before: Grey | None = None
@@ -233,6 +233,7 @@ class HybridFlowEstimator:
             params.wander_period_s, params.drift_density, white_m=0.02, correction_time_s=1.0
         )
         self._satellites = SatelliteAiding(self._nav, anchor)
+        rig = self._nav.rig
         self._ground = GroundBelow(rig, params.ground_memory_s)
         self._view = LevelView(rig.camera, params.side_pixels)
         self._shutter = ShutterModel(rig)

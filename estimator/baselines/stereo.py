@@ -159,10 +159,10 @@ class StereoEstimator:
         params: StereoParams | None = None,
         priors: CalibrationPriors | None = None,
     ) -> None:
-        self._rig = rig
         self._params = params = params or StereoParams()
         self.needs = SensorNeeds(camera_hz=params.camera_hz, stereo=True)
         self._nav = Navigator(rig, self.needs, known_start=True, priors=priors)
+        self._rig = rig = self._nav.rig
         right_from_left = rig.body_from_camera_right.inverse() @ rig.body_from_camera
         self._baseline = -float(right_from_left.translation[0])
         start = rig.world_from_body_start.translation

@@ -22,23 +22,35 @@ from touchdown.estimator.filtering.imu_propagation import exp_so3_each
 from touchdown.estimator.filtering.keyframes import bearing_rays
 from touchdown.sim.api import CameraImage, CameraIntrinsics, SensorRig
 from touchdown.sim.frames import Pose, cross
+from touchdown.sim.geometry.lens import bearing
 from touchdown.sim.typing import Array, Bytes
 
 
 class Undistorter:
-    """Resamples images to a pinhole camera with the same matrix; a lens without distortion leaves
-    them as they are."""
+    """Resamples images to a pinhole camera of the same size: with the same matrix, or of a fisheye
+    with one that shows as much of its image as has no black edge. A pinhole without distortion
+    leaves images as they are.
+
+    ``rig``: the given one with that pinhole as its camera."""
 
     def __init__(self, rig: SensorRig) -> None:
         camera = rig.camera
+        self.rig = rig
         self._maps: tuple[NDArray[np.int16], NDArray[np.uint16]] | None = None
-        if np.any(camera.distortion):
-            size = (camera.width, camera.height)
-            matrix = camera.matrix()
+        size, matrix = (camera.width, camera.height), camera.matrix()
+        if camera.lens == "fisheye":
+            pinhole = _inside_fisheye(camera)
+            self.rig = dataclasses.replace(rig, camera=pinhole)
+            maps = cv2.fisheye.initUndistortRectifyMap(
+                matrix, camera.distortion[:4], np.eye(3), pinhole.matrix(), size, cv2.CV_16SC2
+            )
+        elif np.any(camera.distortion):
             maps = cv2.initUndistortRectifyMap(
                 matrix, camera.distortion, None, matrix, size, cv2.CV_16SC2
             )
-            self._maps = np.asarray(maps[0], np.int16), np.asarray(maps[1], np.uint16)
+        else:
+            return
+        self._maps = np.asarray(maps[0], np.int16), np.asarray(maps[1], np.uint16)
 
     def __call__(self, image: Bytes) -> Bytes:
         """Returns the undistorted image (H, W) or (H, W, 3)."""
@@ -51,6 +63,22 @@ class Undistorter:
         return self(np.asarray(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY), np.uint8))
 
 
+def _inside_fisheye(camera: CameraIntrinsics) -> CameraIntrinsics:
+    """The widest pinhole with square pixels that shows nothing beyond the middles of the edges of
+    a fisheye's image, or beyond 60 degrees from the axis."""
+    middles = np.diag([0.5 * camera.width - 1.0, 0.5 * camera.height - 1.0])
+    angles = np.arctan(
+        np.linalg.norm(bearing(camera, middles + [camera.cx, camera.cy])[:, :2], axis=1)
+    )
+    reach = np.tan(np.minimum(angles, _FISHEYE_EDGE))
+    focal = float(np.max(0.5 * np.array([camera.width, camera.height]) / reach))
+    return CameraIntrinsics(
+        width=camera.width, height=camera.height, fx=focal, fy=focal,
+        cx=0.5 * (camera.width - 1), cy=0.5 * (camera.height - 1),
+    )  # fmt: skip
+
+
+_FISHEYE_EDGE = np.radians(60.0)
 _NEAREST_M = 0.05
 _FARTHEST_HEIGHTS = 5.0
 """multiple of the camera's height: a ray that meets level ground farther off, or not at all, counts

@@ -119,7 +119,8 @@ class Livo:
     """the rangefinder is read while no scans come"""
 
     def __init__(self, rig: SensorRig, params: LivoParams | None = None) -> None:
-        self._rig = rig
+        self._undistort = Undistorter(rig)
+        self._rig = rig = self._undistort.rig
         self._params = params = params or LivoParams()
         camera_hz = params.camera_hz if params.use_vision else 0
         self.needs = SensorNeeds(camera_hz=camera_hz, lidar=True, rangefinder=True)
@@ -143,7 +144,6 @@ class Livo:
         floor = np.array([_FLOOR, _FLOOR, np.hypot(_FLOOR, params.ground_sigma_m)])
         self._floor = np.diag(floor**2)
         self._degeneracy = DegeneracyWatch()
-        self._undistort = Undistorter(rig)
         self._vision_tick, self._scan_tick = 0, 0
         self._odom = Pose.identity()
         self._ground = GroundBelow(rig, params.ground_memory_s)

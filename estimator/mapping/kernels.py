@@ -29,7 +29,7 @@ class Grid(NamedTuple):
 
 
 class Lens(NamedTuple):
-    """A lens as OpenCV describes it."""
+    """A lens as OpenCV describes it; of a fisheye p1 and p2 are its third and fourth term."""
 
     fx: float
     fy: float
@@ -40,6 +40,7 @@ class Lens(NamedTuple):
     p1: float
     p2: float
     k3: float
+    fisheye: bool
 
 
 class Layers(NamedTuple):
@@ -85,7 +86,7 @@ def sample_colours(
     origins, beams, ranges = pulses
     rotation, translation = camera_from_odom
     rows, cols = image.shape[0], image.shape[1]
-    fx, fy, cx, cy, k1, k2, p1, p2, k3 = lens
+    fx, fy, cx, cy, k1, k2, p1, p2, k3, fisheye = lens
     # Indices first, then pixels, block by block: without arithmetic in between, the processor
     # fetches many pixels at a time. A row of ``image`` by itself would be reference-counted.
     row_of, col_of = np.empty(_BLOCK, np.int32), np.empty(_BLOCK, np.int32)
@@ -109,9 +110,16 @@ def sample_colours(
             q = u * u + v * v
             if q > 4.0:
                 continue
-            radial = 1.0 + q * (k1 + q * (k2 + q * k3))
-            ud = u * radial + 2.0 * p1 * u * v + p2 * (q + 2.0 * u * u)
-            vd = v * radial + p1 * (q + 2.0 * v * v) + 2.0 * p2 * u * v
+            if fisheye:
+                angle = np.arctan(np.sqrt(q))
+                t = angle * angle
+                bent = 1.0 + t * (k1 + t * (k2 + t * (p1 + t * p2)))
+                bent *= angle / max(np.sqrt(q), 1e-9)
+                ud, vd = u * bent, v * bent
+            else:
+                radial = 1.0 + q * (k1 + q * (k2 + q * k3))
+                ud = u * radial + 2.0 * p1 * u * v + p2 * (q + 2.0 * u * u)
+                vd = v * radial + p1 * (q + 2.0 * v * v) + 2.0 * p2 * u * v
             col = fx * ud + cx + 0.5
             row = fy * vd + cy + 0.5
             if 0.0 <= col < cols and 0.0 <= row < rows:

@@ -145,8 +145,11 @@ class GridMapper:
         self._gives_tracks = False
         self._max_delay_ticks = max_delay_ticks(rig)
         camera = rig.camera
-        distortion = np.asarray(camera.distortion, float).tolist()
-        self._lens = Lens(camera.fx, camera.fy, camera.cx, camera.cy, *distortion)
+        k1, k2, p1, p2, k3 = np.asarray(camera.distortion, float).tolist()
+        self._lens = Lens(
+            camera.fx, camera.fy, camera.cx, camera.cy, k1, k2, p1, p2, k3,
+            camera.lens == "fisheye",
+        )  # fmt: skip
         self._guard = InputGuard(rig, inertial=False)
         self._view = MapView(version=0, coarse=self._coarse.view(), fine=None)
 

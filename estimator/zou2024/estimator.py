@@ -35,7 +35,8 @@ class Zou2024Estimator:
     """The paper's estimator. Deterministic; nothing is drawn at random."""
 
     def __init__(self, rig: SensorRig, params: Zou2024Params | None = None) -> None:
-        self._rig = rig
+        self._undistort = Undistorter(rig)
+        self._rig = rig = self._undistort.rig
         self._params = params = params or Zou2024Params()
         self.needs = SensorNeeds(camera_hz=params.camera_hz, lidar=True)
         self._filter = InertialFilter(rig, calibration_sigmas=prior_sigmas(params))
@@ -43,7 +44,6 @@ class Zou2024Estimator:
         self._recent = RecentReturns(scans=15, per_scan=8000)
         self._lidar = LidarPositioning(rig, params, self._filter, self._recent)
         self._camera = CameraPositioning(rig, params, self._filter, self._recent, self._lidar.maps)
-        self._undistort = Undistorter(rig)
         self._images: deque[CameraImage] = deque(maxlen=3)
         self._energies: list[tuple[CameraImage, Float32]] = []
         self._scan_track: PoseTrack | None = None

@@ -12,6 +12,7 @@ from touchdown.experiments.api import CalibrationResult, CalibrationView, Chessb
 from touchdown.experiments.scene_tools.views import write_image
 from touchdown.scenes.api import Image
 from touchdown.sim.frames import Pose, so3_exp
+from touchdown.sim.geometry.lens import project
 from touchdown.sim.typing import Array
 
 _COLUMNS, _GAP = 4, 6
@@ -103,10 +104,7 @@ def _beside(in_camera: Array, pixels: NDArray[np.int64], corners: Array) -> Pose
 
 def _pixels(points: Array, result: CalibrationResult) -> Array:
     """(N, 2) pixels of LIDAR points (N, 3) by the calibration (Eqs. 1 and 2)."""
-    k = result.camera
-    in_camera = result.camera_from_lidar.apply(points)
-    projected = cv2.projectPoints(in_camera, np.zeros(3), np.zeros(3), k.matrix(), k.distortion)[0]
-    return np.asarray(projected, np.float64).reshape(-1, 2)
+    return project(result.camera, result.camera_from_lidar.apply(points))[0]
 
 
 def _dot(image: Image, pixels: Array, colours: NDArray[np.uint8], side: int) -> None:

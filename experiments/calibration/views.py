@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 from zlib import crc32
 
-import cv2
 import numpy as np
 
 from touchdown.experiments.api import CalibrationView, Chessboard
@@ -15,6 +14,7 @@ from touchdown.experiments.config.schema import Config
 from touchdown.experiments.scene_tools.posed_views import posed_sensors
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.frames import Pose, so3_exp
+from touchdown.sim.geometry.lens import project
 from touchdown.sim.typing import Array, Image
 
 if TYPE_CHECKING:
@@ -66,6 +66,8 @@ def calibration_views(
     calibration. ``progress`` is called with the number of finished views after each."""
     from touchdown.scenes.calibration_room import BOARD_BODY, calibration_room
 
+    if config.camera.lens == "fisheye":
+        raise ValueError("the calibration is that of a pinhole camera; set camera.lens=pinhole")
     room = calibration_room(chessboard_image(board), *board.size_m, config.seed)
     sensors = posed_sensors(config, room)
     camera_from_lidar = sensors.mounts.camera.inverse() @ sensors.mounts.lidar
@@ -148,8 +150,7 @@ def _in_image(k: CameraIntrinsics, board: Chessboard, pose: Pose) -> bool:
     not seen too obliquely."""
     shrink = 1.0 - board.margin_m / np.array([*board.size_m, np.inf])
     points = pose.apply(_outline(board, 5) * shrink)
-    pixels = cv2.projectPoints(points, np.zeros(3), np.zeros(3), k.matrix(), k.distortion)[0]
-    pixels = pixels.reshape(-1, 2)
+    pixels = project(k, points)[0]
     limit = np.array([k.width - 1, k.height - 1]) - _EDGE_PX
     ray = pose.translation / np.linalg.norm(pose.translation)
     inside = ((pixels > _EDGE_PX) & (pixels < limit)).all()

@@ -361,7 +361,7 @@ def _runs(
 
 _LABELS = {
     "wind_kmh": "w", "faults.events": "", "profile": "", "harsh_effects": "", "preset": "",
-    "vehicle": "",
+    "vehicle": "", "rig": "",
     "variant": "", **{name: "" for slot in SLOTS.values() for name in (slot.kind, slot.key)},
 }  # fmt: skip
 """Prefixes of the values of an axis in run names, where it is not the last part of its key."""

@@ -157,6 +157,15 @@ VEHICLE = click.option(
     help="Of `touchdown vehicles list`, or an MJCF file.  [quadrotor]",
 )  # fmt: skip
 
+RIG_NAMES = (
+    "fisheye", "global_shutter", "mid360_side", "os1_side", "tilted", "two_lidars", "xt16_side",
+)  # fmt: skip
+"""Those of `experiments.config.rigs.RIGS`, likewise."""
+RIG = click.option(
+    "--rig", metavar="NAME|FILE.toml", shell_complete=completed(lambda: RIG_NAMES),
+    help=f"Other cameras and LIDARs: {', '.join(RIG_NAMES)}, or a file of keys.",
+)  # fmt: skip
+
 
 class CommandGroup(click.Group):
     """Command group whose error for an unknown command names the nearest one, and which imports

@@ -21,6 +21,7 @@ from touchdown.experiments.cli.common import (
     PRESET,
     PROFILE,
     QUIET,
+    RIG,
     SCENES,
     VEHICLE,
     Parsed,
@@ -84,6 +85,7 @@ _flight_options = many(
     PRESET,
     click.option("--light", type=LIGHT, help="Light of the scene; see lamp.below_m.  [day]"),
     VEHICLE,
+    RIG,
     click.option("--wind-kmh", type=float, help="Mean wind speed at 6 m.  [12]"),
     click.option("--calibration", metavar="FILE",
                  help="Of `touchdown calibrate`: the calibration given to the estimator."),
@@ -114,7 +116,7 @@ _flight_options = many(
 )  # fmt: skip
 
 _CONFIG_OPTIONS = (
-    "seed", "profile", "preset", "vehicle", "light", "wind_kmh", "record", "calibration",
+    "seed", "profile", "preset", "vehicle", "rig", "light", "wind_kmh", "record", "calibration",
     "log_sensors", "as_is", "classes", "selector", "lander", "controller", "mapper",
     "classifier", "watch", "px4", "px4_port", "px4_connect", "px4_aid",
 )  # fmt: skip

@@ -1,8 +1,8 @@
 """Loading of configurations from files and options.
 
 Order of precedence, lowest first: the defaults of the ``*Params`` dataclasses in the ``api.py``
-files, the profile, the preset, a TOML file (or the ``config.json`` of an earlier run),
-``--set a.b=c``, explicit options.
+files, the profile, the preset, the vehicle, the rig, a TOML file (or the ``config.json`` of an
+earlier run), ``--set a.b=c``, explicit options.
 Every mistake is a ``UsageError`` with one line: what is wrong, where, what would be right.
 """
 
@@ -50,6 +50,7 @@ from touchdown.experiments.config.ranges import (
     rule_of,
     types_of_keys,
 )
+from touchdown.experiments.config.rigs import rig_in
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.config.slots import PREFIX, SLOTS, check_part_names, wrong_external_key
 from touchdown.experiments.config.vehicles import vehicle_in
@@ -64,6 +65,7 @@ OPTION_KEYS: Mapping[str, str] = {
     "preset": "preset",
     "light": "light",
     "vehicle": "vehicle",
+    "rig": "rig",
     "as_is": "scene_as_is",
     "classes": "scene_classes",
     "calibration": "calibration",
@@ -149,7 +151,7 @@ def read_values(file: Path) -> dict[str, Any]:
 def under_base(file: Path, values: dict[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:
     """The ``values`` that ``file`` contributes beside those ``given`` by hand: of a whole
     configuration under another profile or preset, only what its author had chosen."""
-    names = (name_in, preset_in, vehicle_in)
+    names = (name_in, preset_in, vehicle_in, rig_in)
     if came_with_results(file) and any(n({**values, **given}) != n(values) for n in names):
         return chosen_by_hand(values, dict(default_values()))
     return values

@@ -14,6 +14,8 @@ from importlib import resources
 from typing import Any
 
 from touchdown.experiments.config.keys import flatten
+from touchdown.experiments.config.rigs import KEY as RIG_KEY
+from touchdown.experiments.config.rigs import rig_in, rig_values
 from touchdown.experiments.config.vehicles import KEY as VEHICLE_KEY
 from touchdown.experiments.config.vehicles import vehicle_in, vehicle_values
 from touchdown.experiments.errors import UsageError, nearest
@@ -98,15 +100,16 @@ def preset_values(name: str) -> Mapping[str, Any]:
 
 
 def base_values(values: Mapping[str, Any]) -> dict[str, Any]:
-    """The values that the profile, the effects, the preset and the vehicle of ``values`` set.
-    Raises UsageError for a vehicle that cannot fly."""
+    """The values that the profile, the effects, the preset, the vehicle and the rig of ``values``
+    set. Raises UsageError for a vehicle that cannot fly, and a rig that is none."""
     profile = profile_values(name_in(values))
     lower = {
         **profile,
         **effect_values(values.get(EFFECTS_KEY)),
         **preset_values(preset_in(values)),
     }
-    return {**lower, **vehicle_values(values, lower)}
+    lower |= vehicle_values(values, lower)
+    return {**lower, **rig_values(values, lower)}
 
 
 def base_sources(values: Mapping[str, Any]) -> dict[str, str]:
@@ -115,6 +118,7 @@ def base_sources(values: Mapping[str, Any]) -> dict[str, str]:
         **dict.fromkeys(base_values(values), f"profile {name_in(values)}"),
         **dict.fromkeys(preset_values(preset_in(values)), f"preset {preset_in(values)}"),
         **dict.fromkeys(vehicle_values(values, {}), f"vehicle {vehicle_in(values)}"),
+        **dict.fromkeys(rig_values(values, {}), f"rig {rig_in(values)}"),
     }
 
 
@@ -138,5 +142,5 @@ def chosen_by_hand(values: Mapping[str, Any], defaults: Mapping[str, Any]) -> di
     keys.
     """
     own = {**defaults, **base_values(values)}
-    named = (KEY, PRESET_KEY, VEHICLE_KEY)
+    named = (KEY, PRESET_KEY, VEHICLE_KEY, RIG_KEY)
     return {k: v for k, v in values.items() if k in named or k not in own or own[k] != v}

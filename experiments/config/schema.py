@@ -107,6 +107,10 @@ class Config(BaseModel):
     vehicle: str = DEFAULT_VEHICLE
     """name of a shipped vehicle, or path of its MJCF file; its gains, limits, battery and kind of
     LIDAR override profile and preset (`touchdown vehicles check`)"""
+    rig: str = ""
+    """cameras and LIDARs other than the vehicle's: name of a shipped rig, or path of a TOML file
+    with keys of ``camera``, ``lidar``, ``lamp`` and ``imu``, which override profile, preset and
+    vehicle"""
     seed: CountOrZero = 0
     """seed of the scene; with the scene's name, of the wind and all noise"""
     scene_seed: CountOrZero | None = None

@@ -29,6 +29,8 @@ def settings_of(config: Config) -> dict[str, Any]:
     chosen = chosen_by_hand(values, dict(default_values()))
     if config.vehicle == DEFAULT_VEHICLE:
         chosen.pop("vehicle", None)
+    if not config.rig:
+        chosen.pop("rig", None)
     return {k: v for k, v in chosen.items() if k not in NAMED and not k.startswith(_SAME_FLIGHT)}
 
 

@@ -17,12 +17,12 @@ _OF_MEANING = 0.5
 """weight of a word in the text of a key, beside 1 in the key itself"""
 _ENOUGH = 0.5
 _UNIT_WORDS = {end.strip("_") for end in UNITS}
-_MOUNTED = {"angle", "mount", "pitch", "pose", "position", "roll", "rotation", "tilt", "yaw"}
 _FILLERS = {"a", "and", "at", "by", "for", "from", "in", "is", "of", "on", "or", "the", "to"}
 _ALIKE: Mapping[str, frozenset[str]] = {
     "altitude": frozenset({"height"}),
     "fps": frozenset({"hz"}),
     "frequency": frozenset({"hz"}),
+    **dict.fromkeys(("attitude", "pitch", "roll", "tilt", "yaw"), frozenset({"mount"})),
     "noise": frozenset({"density", "sigma"}),
     "rate": frozenset({"hz"}),
     "resolution": frozenset({"width"}),
@@ -39,11 +39,6 @@ def suggestion(key: str, keys: Iterable[str]) -> str:
     if found := difflib.get_close_matches(key, known, n=1, cutoff=_TYPING_ERROR):
         return f" (did you mean '{found[0]}'?)"
     asked = _words(key)
-    if asked[:1] in (["camera"], ["lidar"]) and _MOUNTED.intersection(asked):
-        return (
-            f": no key mounts the {asked[0]}; its place and attitude are those of the site "
-            f"'{asked[0]}_0' in the vehicle's MJCF"
-        )
     scores = {known_key: _score(asked, known_key) for known_key in known}
     best = max(known, key=lambda k: (scores[k], difflib.SequenceMatcher(None, key, k).ratio()))
     return f" (did you mean '{best}'?)" if scores[best] >= _ENOUGH else ""

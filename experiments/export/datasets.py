@@ -14,6 +14,7 @@ from typing import TextIO
 import cv2
 import numpy as np
 
+from touchdown.estimator.filtering.camera_model import Undistorter
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.export.flown_run import Exported, ExportOptions, FlownRun
 from touchdown.experiments.export.point_cloud import placed_returns
@@ -105,13 +106,15 @@ def write_truth(flown: FlownRun, root: Path, rig: SensorRig) -> int:
 def write_camera(folder: Path, rig: SensorRig, body_from_camera: Pose) -> Path:
     """Makes the folder of a camera with its ``sensor.yaml``; returns it."""
     camera = rig.camera
-    k1, k2, p1, p2, k3 = camera.distortion.tolist()
+    fisheye = camera.lens == "fisheye"
+    terms = camera.distortion.tolist()
     (folder / "data").mkdir(parents=True)
     about: dict[str, object] = {
         "sensor_type": "camera", "rate_hz": rig.tick_hz / rig.camera_ticks,
         "resolution": [camera.width, camera.height],
         "camera_model": "pinhole", "intrinsics": [camera.fx, camera.fy, camera.cx, camera.cy],
-        "distortion_model": "radial-tangential", "distortion_coefficients": [k1, k2, p1, p2, k3],
+        "distortion_model": "equidistant" if fisheye else "radial-tangential",
+        "distortion_coefficients": terms[:4] if fisheye else terms,
     }  # fmt: skip
     return _sensor(folder, about, rig.body_from_imu.inverse() @ body_from_camera)
 
@@ -146,6 +149,7 @@ def write_kitti(flown: FlownRun, folder: Path, options: ExportOptions) -> Export
     """
     log = SensorLogReader(flown.sensors())
     rig = log.rig
+    pinhole = Undistorter(rig)
     if not (log.sensed.lidar and log.sensed.camera_hz):
         raise UsageError(
             f"'{flown.path}' was not flown with camera and LIDAR, which --format kitti needs"
@@ -172,9 +176,7 @@ def write_kitti(flown: FlownRun, folder: Path, options: ExportOptions) -> Export
             here = moving.pose(time_s) @ rig.body_from_lidar
             cloud = np.column_stack([here.inverse().apply(points), intensity / 255.0])
             cloud.astype("<f4").tofile(sequence / "velodyne" / f"{count:06}.bin")
-            rectified = cv2.undistort(
-                unpack_image(image.png), rig.camera.matrix(), rig.camera.distortion
-            )
+            rectified = pinhole(unpack_image(image.png))
             cv2.imwrite(str(sequence / "image_2" / f"{count:06}.png"), rectified[..., ::-1])
             camera = truth.pose(time_s) @ rig.body_from_camera
             first = first or camera
@@ -201,7 +203,7 @@ def _frames(log: SensorLogReader) -> Iterator[tuple[LidarScan, PackedImage]]:
 
 def _write_calibration(file: Path, rig: SensorRig) -> None:
     """P0 to P3, of which all are the one camera, and Tr, camera from LIDAR."""
-    projection = _row(rig.camera.matrix(), np.zeros(3))
+    projection = _row(Undistorter(rig).rig.camera.matrix(), np.zeros(3))
     lines = [f"P{number}: {projection}\n" for number in range(4)]
     mount = rig.body_from_camera.inverse() @ rig.body_from_lidar
     lines.append(f"Tr: {_row(mount.rotation, mount.translation)}\n")

@@ -4,7 +4,6 @@ from collections import deque
 from pathlib import Path
 from typing import BinaryIO
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 from plyfile import PlyData, PlyParseError
@@ -15,6 +14,7 @@ from touchdown.experiments.io.sensor_log_reader import SensorLogReader
 from touchdown.experiments.io.tum import Trajectory
 from touchdown.sim.api import CameraImage, CameraIntrinsics, LidarScan
 from touchdown.sim.frames import Pose
+from touchdown.sim.geometry.lens import project
 from touchdown.sim.typing import Array
 
 Colours = NDArray[np.uint8]
@@ -107,27 +107,24 @@ def _paint(
     if not track.spans(image.time_s, image.time_s):
         return
     camera_from_world = (track.pose(image.time_s) @ body_from_camera).inverse()
-    pixels, seen = project(camera_from_world.apply(points), camera)
+    pixels, seen = seen_in_image(camera_from_world.apply(points), camera)
     column, row = np.rint(pixels[seen]).astype(int).T
     colours[seen] = image.rgb[row, column]
 
 
-def project(points: Array, camera: CameraIntrinsics) -> tuple[Array, NDArray[np.bool_]]:
+def seen_in_image(points: Array, camera: CameraIntrinsics) -> tuple[Array, NDArray[np.bool_]]:
     """Pixels (N, 2) of (N, 3) points in the camera's frame, and (N,) True for those in the image.
     Occlusion is ignored: LIDAR and camera look from nearly the same point."""
     ahead = points[:, 2] > 0.01
     depth = np.where(ahead, points[:, 2], 1.0)
     plane = points[:, :2] / depth[:, None]
     half = np.array([camera.width / camera.fx, camera.height / camera.fy])
+    half = np.tan(half) if camera.lens == "fisheye" else half
     # Outside the image a lens model may fold back into it.
     ahead &= (np.abs(plane) < half).all(axis=1)
     pixels = np.full((len(points), 2), -1.0)
     if ahead.any():
-        inside = np.ascontiguousarray(np.column_stack([plane[ahead], np.ones(ahead.sum())]))
-        found, _ = cv2.projectPoints(
-            inside, np.zeros(3), np.zeros(3), camera.matrix(), camera.distortion
-        )
-        pixels[ahead] = found.reshape(-1, 2)
+        pixels[ahead] = project(camera, points[ahead])[0]
     limit = np.array([camera.width - 0.5, camera.height - 0.5])
     return pixels, ahead & (pixels > -0.5).all(axis=1) & (pixels < limit).all(axis=1)
 

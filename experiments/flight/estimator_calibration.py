@@ -202,12 +202,16 @@ def _distorted(rig: SensorRig, params: CalibrationErrorParams, seed: int) -> Sen
 
 
 def corner_displacement_px(camera: CameraIntrinsics) -> Array:
-    """(4,) pixels by which k1, k2, p1 and p2 of 1 displace the corner of the image that they
-    displace most."""
+    """(4,) pixels by which k1, k2, p1 and p2 of 1, or the four terms of a fisheye, displace the
+    corner of the image that they displace most."""
     corners = [(u, v) for u in (0, camera.width - 1) for v in (0, camera.height - 1)]
     u, v = np.array(corners, dtype=np.float64).T
     x, y = (u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy
     square = x * x + y * y
+    if camera.lens == "fisheye":
+        radial = np.hypot(camera.fx * x, camera.fy * y)
+        found: Array = np.array([(radial * square**power).max() for power in (1, 2, 3, 4)])
+        return found
     moved_x = np.stack([x * square, x * square**2, 2.0 * x * y, square + 2.0 * x * x])
     moved_y = np.stack([y * square, y * square**2, square + 2.0 * y * y, 2.0 * x * y])
     maximum: Array = np.hypot(camera.fx * moved_x, camera.fy * moved_y).max(axis=1)

@@ -14,6 +14,7 @@ import numpy as np
 from touchdown.experiments.io.result_parts import Intrusion
 from touchdown.experiments.recording.recorder import StepRecord
 from touchdown.sim.api import GRAVITY_MPS2, SensorRig, VehicleModel
+from touchdown.sim.geometry.lens import project
 from touchdown.sim.lidar.patterns import PATTERNS
 from touchdown.sim.typing import Array
 
@@ -67,9 +68,10 @@ class IntrusionObserver:
         k = self._rig.camera
         world_from_camera = step.truth.world_from_body @ self._rig.body_from_camera
         parts = foot + np.array([[0.0, 0.0, up] for up in _PARTS_M])
-        x, y, z = world_from_camera.inverse().apply(parts).T
-        ahead = z > 0.1
-        u, v = k.fx * x / np.maximum(z, 0.1) + k.cx, k.fy * y / np.maximum(z, 0.1) + k.cy
+        points = world_from_camera.inverse().apply(parts)
+        points[:, 2] = np.maximum(points[:, 2], 0.1)
+        u, v = project(k, points)[0].T
+        ahead = points[:, 2] > 0.1
         image = ahead & (u >= 0) & (v >= 0) & (u < k.width) & (v < k.height)
         return bool((image | self._in_scans(step, parts)).any())
 

@@ -67,7 +67,8 @@ def build_scene(config: Config) -> Scene:
     seed = config.seed if config.scene_seed is None else config.scene_seed
     options = None if config.scene_as_is else ImportOptions(classes=config.scene_classes or "")
     intruders = sum(fault.kind == "intruder" for fault in config.faults.schedule())
-    guests = Guests(config.vehicle, intruders)
+    turns = (config.lidar.mount_deg, config.lidar.second_mount_deg)
+    guests = Guests(config.vehicle, intruders, config.camera.mount_deg, turns)
     how = (seed, low_sun(config), config.light, options, config.dials, config.traffic, guests)
     if names_function(config.scene):
         from touchdown.experiments.external.places import place_file

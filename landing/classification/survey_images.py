@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 
 from touchdown.estimator.api import Estimate, image_defect, some_pixels
 from touchdown.landing.classification.haze import Haze, darkest_light, estimate_haze
-from touchdown.sim.api import CameraImage, CameraIntrinsics, Observation, SensorRig
+from touchdown.sim.api import CameraImage, Observation, SensorRig
 from touchdown.sim.frames import Pose, PoseHistory
+from touchdown.sim.geometry.lens import project
 from touchdown.sim.typing import Array, Image
 
 _TRACK = 128
@@ -281,17 +282,3 @@ def _ground_points(odom_from_camera: Pose, site: Array, side_m: float, steps: Ar
     points[..., :2] = site[:2] + col[..., None] * right + row[..., None] * across
     points[..., 2] = site[2]
     return points
-
-
-def project(camera: CameraIntrinsics, points: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Projects points (..., 3) in the camera's frame by OpenCV's lens model. Returns pixels (...,
-    2) and the mask of points ahead of the camera."""
-    ahead = points[..., 2] > 1e-6
-    depth = np.where(ahead, points[..., 2], 1.0)
-    x, y = points[..., 0] / depth, points[..., 1] / depth
-    k1, k2, p1, p2, k3 = camera.distortion
-    r2 = x * x + y * y
-    radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
-    u = x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x)
-    v = y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y
-    return np.stack([camera.fx * u + camera.cx, camera.fy * v + camera.cy], axis=-1), ahead

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 
 from touchdown.landing.watch.people import SURE, PeopleDetector
 from touchdown.sim.api import CameraImage, SensorRig
 from touchdown.sim.frames import Pose
+from touchdown.sim.geometry.lens import bearing, project
 from touchdown.sim.typing import Array
 
 _MIDDLE_M = 0.8
@@ -108,9 +108,7 @@ class Sightings:
     def _place(self, two_x: float, two_y: float, camera: Pose, ground_z: float) -> Array | None:
         """(2,) where the ray through the middle of a box meets the height of a person's middle."""
         k = self._rig.camera
-        pixel = np.array([[[0.5 * two_x, 0.5 * two_y]]])
-        x, y = cv2.undistortPoints(pixel, k.matrix(), k.distortion).ravel()
-        ray = camera.rotation @ np.array([x, y, 1.0])
+        ray = camera.rotation @ bearing(k, np.array([0.5 * two_x, 0.5 * two_y]))
         drop = ground_z + _MIDDLE_M - camera.translation[2]
         if ray[2] >= -0.1 or drop >= -0.3:
             return None
@@ -123,5 +121,5 @@ class Sightings:
         point = camera.inverse().apply(np.array([*xy, ground_z + _MIDDLE_M]))
         if point[2] < 0.2:
             return False
-        x, y = k.fx * point[0] / point[2] + k.cx, k.fy * point[1] / point[2] + k.cy
+        x, y = project(k, point)[0]
         return bool(0.05 * k.width < x < 0.95 * k.width and 0.05 * k.height < y < 0.95 * k.height)

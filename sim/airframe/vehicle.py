@@ -50,6 +50,8 @@ class SensorMounts(NamedTuple):
     lidar: Pose
     camera: Pose
     camera_right: Pose
+    second_lidar: Pose | None
+    """None: there is one LIDAR"""
 
 
 def vehicle_body_id(model: mujoco.MjModel, prefix: str = VEHICLE_PREFIX) -> int:
@@ -126,12 +128,15 @@ def power_system(model: mujoco.MjModel, prefix: str = VEHICLE_PREFIX) -> PowerSy
 
 
 def sensor_mounts(model: mujoco.MjModel, prefix: str = VEHICLE_PREFIX) -> SensorMounts:
-    """Poses of the sites ``imu``, ``lidar_0``, ``camera_0`` and ``camera_1``, the right one."""
+    """Poses of the sites ``imu``, ``lidar_0``, ``camera_0`` and ``camera_1``, the right one, and of
+    ``lidar_1`` where there is one."""
+    second = _id(model, mujoco.mjtObj.mjOBJ_SITE, prefix + "lidar_1") >= 0
     return SensorMounts(
         imu=_site_pose(model, prefix, "imu"),
         lidar=_site_pose(model, prefix, "lidar_0"),
         camera=_site_pose(model, prefix, "camera_0"),
         camera_right=_site_pose(model, prefix, "camera_1"),
+        second_lidar=_site_pose(model, prefix, "lidar_1") if second else None,
     )
 
 

@@ -13,7 +13,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from touchdown.sim.api import CameraIntrinsics, CameraParams
-from touchdown.sim.typing import Array, Bytes, Float32
+from touchdown.sim.geometry.lens import distorted, undistorted
+from touchdown.sim.typing import Bytes, Float32
 
 NOISE_MARGIN = 128
 """The noise tile is larger than an image by this, and shifted at random."""
@@ -25,7 +26,6 @@ LIGHT: Float32 = ((np.arange(256) / 255.0) ** GAMMA).astype(np.float32)
 """linear light of a grey level, 1 for white"""
 _MIDDLE_GREY = 110.0
 _MAX_AUTO_GAIN = 4.0
-_UNDISTORT_STEPS = 30
 _MAX_RESIDUAL_PX = 1e-3
 _MAX_WIDENING = 3.0
 _BORDER_PX = 2
@@ -45,16 +45,22 @@ class Lens:
 
 
 def intrinsics_of(params: CameraParams) -> CameraIntrinsics:
-    """Focal lengths that follow from the two fields of view, which hold for the undistorted
-    pinhole, and the distortion."""
+    """Focal lengths that follow from the two fields of view, which hold without distortion, and
+    the distortion. ValueError: a fisheye with a fifth coefficient."""
+    fisheye = params.lens == "fisheye"
+    if fisheye and params.distortion[4]:
+        raise ValueError("camera.distortion of a fisheye has four terms; make the fifth number 0")
+    half_x, half_y = (0.5 * math.radians(deg) for deg in (params.fov_x_deg, params.fov_y_deg))
+    radius_x, radius_y = (half_x, half_y) if fisheye else (math.tan(half_x), math.tan(half_y))
     return CameraIntrinsics(
         width=params.width,
         height=params.height,
-        fx=0.5 * params.width / math.tan(0.5 * math.radians(params.fov_x_deg)),
-        fy=0.5 * params.height / math.tan(0.5 * math.radians(params.fov_y_deg)),
+        fx=0.5 * params.width / radius_x,
+        fy=0.5 * params.height / radius_y,
         cx=0.5 * (params.width - 1),
         cy=0.5 * (params.height - 1),
         distortion=np.array(params.distortion, dtype=np.float64),
+        lens=params.lens,
     )
 
 
@@ -65,12 +71,12 @@ def make_lens(params: CameraParams) -> Lens:
     times the image's width or height.
     """
     image = intrinsics_of(params)
-    if not image.distortion.any():
+    if not image.distortion.any() and image.lens == "pinhole":
         return Lens(image=image, raster=image, map_x=None, map_y=None)
     cols, rows = np.meshgrid(np.arange(params.width), np.arange(params.height))
-    distorted = np.stack([(cols - image.cx) / image.fx, (rows - image.cy) / image.fy], -1)
-    ideal = undistort(distorted, image.distortion)
-    residual = distort(ideal, image.distortion) - distorted
+    seen = np.stack([(cols - image.cx) / image.fx, (rows - image.cy) / image.fy], -1)
+    ideal = undistorted(seen, image)
+    residual = distorted(ideal, image) - seen
     worst = np.abs(residual * [image.fx, image.fy]).max()
     if not worst < _MAX_RESIDUAL_PX:
         raise ValueError(
@@ -81,8 +87,8 @@ def make_lens(params: CameraParams) -> Lens:
     width, height = (2 * (math.ceil(np.abs(axis).max()) + _BORDER_PX) + 1 for axis in (u, v))
     if width > _MAX_WIDENING * params.width or height > _MAX_WIDENING * params.height:
         raise ValueError(
-            f"camera.distortion {params.distortion} needs a raster of {width} x {height} pixels: "
-            "use smaller coefficients or a smaller field of view"
+            f"camera.distortion {params.distortion} of a {params.lens} needs a raster of {width} x "
+            f"{height} pixels: use smaller coefficients or a smaller field of view"
         )
     raster = CameraIntrinsics(
         width=width,
@@ -115,46 +121,6 @@ def with_margin(lens: Lens, pixels: int) -> Lens:
     return Lens(
         image=lens.image, raster=raster, map_x=shifted, map_y=lowered, margin=lens.margin + pixels
     )
-
-
-def distort(ideal: Array, coefficients: Array) -> Array:
-    """(..., 2) distorted normalised coordinates: OpenCV's model, k1 k2 p1 p2 k3."""
-    return _distort_with_jacobian(ideal, coefficients)[0]
-
-
-def undistort(distorted: Array, coefficients: Array) -> Array:
-    """(..., 2) inverse of `distort` by Newton's method; to be verified where the lens may fold."""
-    ideal = distorted.copy()
-    with np.errstate(all="ignore"):  # a folding lens may run away, which the check finds
-        for _ in range(_UNDISTORT_STEPS):
-            bent, xx, xy, yy = _distort_with_jacobian(ideal, coefficients)
-            error = bent - distorted
-            determinant = xx * yy - xy * xy
-            ideal[..., 0] -= (yy * error[..., 0] - xy * error[..., 1]) / determinant
-            ideal[..., 1] -= (xx * error[..., 1] - xy * error[..., 0]) / determinant
-            if np.nanmax(np.abs(error)) < 1e-12:
-                break
-    return ideal
-
-
-def _distort_with_jacobian(ideal: Array, k: Array) -> tuple[Array, Array, Array, Array]:
-    """The distorted points (..., 2) and the symmetric Jacobian's xx, xy and yy parts (...)."""
-    x, y = ideal[..., 0], ideal[..., 1]
-    k1, k2, p1, p2, k3 = k
-    square = x * x + y * y
-    radial = 1.0 + square * (k1 + square * (k2 + square * k3))
-    slope = 2.0 * (k1 + square * (2.0 * k2 + square * 3.0 * k3))
-    bent = np.stack(
-        [
-            x * radial + 2.0 * p1 * x * y + p2 * (square + 2.0 * x * x),
-            y * radial + p1 * (square + 2.0 * y * y) + 2.0 * p2 * x * y,
-        ],
-        axis=-1,
-    )
-    xx = radial + slope * x * x + 2.0 * p1 * y + 6.0 * p2 * x
-    xy = slope * x * y + 2.0 * p1 * x + 2.0 * p2 * y
-    yy = radial + slope * y * y + 6.0 * p1 * y + 2.0 * p2 * x
-    return bent, xx, xy, yy
 
 
 def through_lens(

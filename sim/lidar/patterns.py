@@ -1,7 +1,7 @@
-"""Scan patterns (direction of pulse number k) and data-sheet figures of Livox LIDARs.
+"""Scan patterns (direction of pulse number k) and data-sheet figures of LIDARs.
 
-Parameters of the patterns were fitted to recordings of the real sensors; ranges, fields of view,
-rates and beam widths are those of the manufacturer's data sheets and user manuals.
+Parameters of the Livox patterns were fitted to recordings of the real sensors; ranges, fields of
+view, rates and beam widths are those of the manufacturers' data sheets and user manuals.
 
 Horizon and Avia send beams through rotating wedge prisms (Risley prisms), traced with Snell's law.
 
@@ -15,6 +15,9 @@ round the horizon at the same rate; a slower drive carries it up and down betwee
 ten times a second, leading and lagging in azimuth as it goes. Its closed form holds the leading
 terms of a Fourier series fitted to such recordings, four seconds of which it follows within 0.9
 degrees (root mean square).
+
+OS1-16 and PandarXT-16 turn a column of beams about their axis. Beams of a column are taken to fire
+one after another at equal intervals; the OS1's fire at once, the XT's within 30 microseconds.
 """
 
 from __future__ import annotations
@@ -229,6 +232,27 @@ def _trace_mid360(start_index: int, beams: Float32) -> None:
         beams[k, 2] = math.sin(elevation)
 
 
+@dataclass(frozen=True, slots=True)
+class SpinningPattern:
+    """A column of ``beams`` between ``-half_view_deg`` and ``half_view_deg`` of elevation, at equal
+    steps, that turns about z: ``columns`` a turn, from the x axis towards y."""
+
+    beams: int
+    half_view_deg: float
+    columns: int
+
+    def __call__(self, start_index: int, count: int) -> Float32:
+        """As those of ``RisleyPattern``; within a column from below upwards."""
+        check_pulses(start_index, count)
+        index = np.arange(start_index, start_index + count)
+        azimuth = 2.0 * np.pi / self.columns * (index // self.beams % self.columns)
+        step = 2.0 * self.half_view_deg / (self.beams - 1)
+        elevation = np.deg2rad(index % self.beams * step - self.half_view_deg)
+        level = np.cos(elevation)
+        beams = [level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)]
+        return np.stack(beams, axis=-1).astype(np.float32)
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ScanPattern:
     """``directions(start_index, count)`` gives (count, 3) float32 unit vectors in the LIDAR frame
@@ -311,7 +335,29 @@ MID360 = ScanPattern(
 of nadir it sees nothing. The manufacturer states no beam width: that of its others is
 taken."""
 
+OS1_16 = ScanPattern(
+    directions=SpinningPattern(beams=16, half_view_deg=16.6, columns=2048),
+    point_rate_hz=327_680,
+    field_of_view_deg=(360.0, 33.2),
+    range_limits_m=(40.0, 120.0),
+    range_reflectivities=(0.1, 0.8),
+    max_range_m=120.0,
+    divergence_deg=(0.13, 0.13),
+)
+"""Ouster OS1-16 (data sheet), 2048 columns at 10 turns a second."""
+
+XT16 = ScanPattern(
+    directions=SpinningPattern(beams=16, half_view_deg=15.0, columns=2000),
+    point_rate_hz=320_000,
+    field_of_view_deg=(360.0, 30.0),
+    range_limits_m=(80.0, 120.0),
+    range_reflectivities=(0.1, 0.8),
+    max_range_m=120.0,
+    divergence_deg=(0.13, 0.13),
+)
+"""Hesai PandarXT-16 (user manual), 10 turns a second. The beam width is that of the OS1."""
+
 PATTERNS: Mapping[LidarPreset, ScanPattern] = MappingProxyType(
-    {"avia": AVIA, "horizon": HORIZON, "mid360": MID360}
+    {"avia": AVIA, "horizon": HORIZON, "mid360": MID360, "os1_16": OS1_16, "xt16": XT16}
 )
 """Scan patterns by preset name."""

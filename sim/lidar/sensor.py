@@ -50,7 +50,8 @@ class LidarSensor:
     ``scan`` is a pure function of its arguments, the scene and the seed: it may run in any thread
     beside the physics, one scan at a time. Without ``weather`` the air is clear; ``wind_mps``, (2,)
     the mean wind at 20 ft, moves crowns. ``dust`` is noted up to a scan's end before the scan.
-    ``optics``: of ``scene``, where they are known. Raises ValueError for impossible parameters.
+    ``optics``: of ``scene``, where they are known. ``number``: 1 for a second LIDAR beside another.
+    Raises ValueError for impossible parameters.
     """
 
     def __init__(
@@ -62,7 +63,10 @@ class LidarSensor:
         wind_mps: Array = _CALM,
         dust: DustCloud | None = None,
         optics: OpticalTable | None = None,
+        number: int = 0,
     ) -> None:
+        if number:
+            seed = int(np.random.default_rng([seed, number]).integers(2**32))
         self._pattern = PATTERNS[params.preset]
         self._fired = fired_directions(params, seed)
         self._params = params

@@ -167,7 +167,7 @@ def test_colours_are_taken_through_the_lens() -> None:
     kernels.sample_colours(
         Pulses(np.zeros((1, 3), np.float32), ahead, np.full(1, 7.0, np.float32)),
         (0, 1), (0, 0), image, Frame.of(Pose.identity()),
-        Lens(100.0, 100.0, 99.2, 50.0, -0.2, 0.0, 0.0, 0.0, 0.0), colours,
+        Lens(100.0, 100.0, 99.2, 50.0, -0.2, 0.0, 0.0, 0.0, 0.0, False), colours,
     )  # fmt: skip
     assert colours[0].tolist() == [round(99.2 + 47.5)] * 3
 

@@ -94,7 +94,8 @@ def test_one_fault_needs_no_brackets(tmp_path: Path) -> None:
 
 
 OPEN_NAMES = {
-    "scene", "estimator", "vehicle", "external", "calibration", "scene_classes", "harsh_effects",
+    "scene", "estimator", "vehicle", "rig", "external", "calibration", "scene_classes",
+    "harsh_effects",
     "traffic.paths", "survey.path", "landing.people_network", "faults.events",
     "variant", "zou2024.edge_model", "px4.path", "px4.parameters",
     *(slot.key for slot in SLOTS.values()),

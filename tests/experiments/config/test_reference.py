@@ -26,7 +26,7 @@ def test_defaults_can_be_given_back() -> None:
 
 
 @pytest.mark.parametrize(("asked", "meant"), [
-    ("camera.pitch_deg", ": no key mounts the camera; its place and attitude"),
+    ("camera.pitch_deg", "'camera.mount_deg'"),
     ("camera.hight", "'camera.height'"),  # a slip
     ("wind_speed", "'wind.mean_kmh'"),  # not 'scene_seed'
     ("survey.altitude", "'survey.height_m'"),  # not 'start.attitude_known'

@@ -7,7 +7,7 @@ import numpy as np
 from plyfile import PlyData
 
 from touchdown.experiments.export.flown_run import ExportOptions
-from touchdown.experiments.export.point_cloud import project
+from touchdown.experiments.export.point_cloud import seen_in_image
 from touchdown.experiments.export.run import export
 from touchdown.experiments.external.synthetic_stream import SyntheticStream, synthetic_rig
 from touchdown.sim.api import CameraIntrinsics
@@ -80,6 +80,6 @@ def test_returns_have_the_colour_of_the_ground_under_them(run: Path, tmp_path: P
 def test_projection_by_hand() -> None:
     lens = CameraIntrinsics(width=100, height=80, fx=50.0, fy=40.0, cx=49.5, cy=39.5)
     points = np.array([[0.0, 0.0, 2.0], [1.0, -1.0, 2.0], [0.0, 0.0, -2.0], [3.0, 0.0, 2.0]])
-    pixels, seen = project(points, lens)
+    pixels, seen = seen_in_image(points, lens)
     np.testing.assert_allclose(pixels[:2], [[49.5, 39.5], [74.5, 19.5]])
     assert seen.tolist() == [True, True, False, False]

@@ -6,9 +6,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from touchdown.landing.classification.survey_images import SurveyImages, brightened, project
+from touchdown.landing.classification.survey_images import SurveyImages, brightened
 from touchdown.sim.api import CameraImage
 from touchdown.sim.frames import Pose, rotation_from_yaw, so3_exp
+from touchdown.sim.geometry.lens import project
 from touchdown.sim.typing import Array
 
 from support.ground_class_support import photograph, plain, small_rig

@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 
 from touchdown.scenes.api import Scene
 from touchdown.sim.api import CameraParams, SimParams
-from touchdown.sim.camera.optics import distort, intrinsics_of, undistort
+from touchdown.sim.camera.optics import intrinsics_of
 from touchdown.sim.camera.sensor import CameraSensor
 from touchdown.sim.delivery import readout_ticks
+from touchdown.sim.geometry.lens import distorted, project, undistorted
 
 from support.camera_support import CLEAN, HEIGHT_M, box, centroid, make_scene, posed, take_image
 
@@ -108,22 +109,47 @@ def test_distortion_is_that_of_opencv() -> None:
 
 
 def test_undistort_inverts_distort() -> None:
-    k = np.array(BARREL)
+    k = intrinsics_of(CameraParams(distortion=BARREL))
     ideal = np.stack(np.meshgrid(np.linspace(-0.7, 0.7, 31), np.linspace(-0.4, 0.4, 21)), axis=-1)
-    np.testing.assert_allclose(undistort(distort(ideal, k), k), ideal, atol=1e-10)
+    np.testing.assert_allclose(undistorted(distorted(ideal, k), k), ideal, atol=1e-10)
     by_opencv, _ = cv2.projectPoints(
         np.concatenate([ideal.reshape(-1, 2), np.ones((ideal[..., 0].size, 1))], axis=1),
         np.zeros(3),
         np.zeros(3),
         np.eye(3),
-        k,
+        k.distortion,
     )
-    np.testing.assert_allclose(distort(ideal, k).reshape(-1, 2), by_opencv[:, 0], atol=1e-12)
+    np.testing.assert_allclose(distorted(ideal, k).reshape(-1, 2), by_opencv[:, 0], atol=1e-12)
+
+
+FISHEYE = CameraParams(
+    noise_sigma=0.0, lens="fisheye", width=640, height=480, fov_x_deg=110.0, fov_y_deg=82.5,
+    distortion=(-0.02, 0.004, -0.001, 0.0002, 0.0),
+)  # fmt: skip
+
+
+def test_a_fisheye_draws_where_opencv_puts_it() -> None:
+    """Spots up to 60 degrees from the axis, and all coefficients both ways."""
+    k = intrinsics_of(FISHEYE)
+    for x, y in [(0.0, 0.0), (10.0, 20.0), (-8.0, -25.0), (12.0, -3.0)]:
+        place = f'size="0.5 0.5 0.001" pos="{x} {y} 0.001"'
+        scene = make_scene(f'<geom name="spot" type="box" {place} rgba="1 0 0 1"/>')
+        seen = centroid(take_image(scene, FISHEYE)[..., 0] > 128)
+        optical = np.array([[[-y, -x, HEIGHT_M - 0.002]]])
+        expected, _ = cv2.fisheye.projectPoints(
+            optical, np.zeros(3), np.zeros(3), k.matrix(), k.distortion[:4]
+        )
+        assert np.abs(seen - expected.ravel()).max() < 0.7, (x, y)
+        np.testing.assert_allclose(project(k, optical[0])[0], expected[0], atol=1e-9)
+    plane = np.stack(np.meshgrid(np.linspace(-2.0, 2.0, 21), np.linspace(-1.0, 1.0, 11)), axis=-1)
+    np.testing.assert_allclose(undistorted(distorted(plane, k), k), plane, atol=1e-6)
 
 
 @pytest.mark.parametrize(("params", "message"), [
     (CameraParams(distortion=(-2.0, 0.0, 0.0, 0.0, 0.0)), r"folds the image"),
     (CameraParams(distortion=(-0.35, 0.0, 0.0, 0.0, 0.0), fov_x_deg=110.0), r"folds|raster"),
+    (CameraParams(lens="fisheye", distortion=(0.0, 0.0, 0.0, 0.0, 0.1)), "fifth number 0"),
+    (CameraParams(lens="fisheye", fov_x_deg=145.0, fov_y_deg=80.0), "raster"),
     (CameraParams(distortion=(np.nan, 0.0, 0.0, 0.0, 0.0)), r"camera\.distortion"),
 ])  # fmt: skip
 def test_impossible_cameras_are_refused(params: CameraParams, message: str) -> None:
