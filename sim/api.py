@@ -211,6 +211,10 @@ class SensorRig:
     start_tilt_sigma_rad: float = 0.0
     """standard deviation of the true roll and pitch at take-off about those of
     ``world_from_body_start``, which are 0 then; 0: they are known"""
+    start_velocity_mps: Array = field(default_factory=lambda: np.zeros(3))
+    """(3,) of the body at the start, world frame"""
+    start_velocity_sigma_mps: float = 0.0
+    """standard deviation of that, beside that of a vehicle on its legs"""
     camera_readout_s: float = 0.0
     """nominal time from the exposure of an image's first row to that of its last"""
 

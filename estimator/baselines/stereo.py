@@ -110,6 +110,27 @@ class GroundHeight:
         self._variance *= 1.0 - gain
 
 
+class DepthAhead:
+    """What stands for `GroundHeight` where the cameras do not look down: the median depth of the
+    corners of the last pair. Each corner has the depth of its own disparity."""
+
+    height_m, sigma_m = math.nan, math.nan
+
+    def __init__(self) -> None:
+        self._depth_m = 5.0
+
+    def depths(self, rays: Array, _odom_from_camera: Pose) -> Array:
+        """(N,) the same depth for rays (N, 3)."""
+        return np.full(len(rays), self._depth_m)
+
+    def take(
+        self, _rays: Array, shifts: Array, _odom_from_camera: Pose, scale: float, _time_s: float
+    ) -> None:
+        """Takes disparities (N,)."""
+        if len(shifts) and (shift := float(np.median(shifts))) > 0.0:
+            self._depth_m = scale / shift
+
+
 def inverse_depths(
     found: Indices, shifts: Array, ground_m: Array, scale: float, params: StereoParams
 ) -> tuple[Array, Array]:
@@ -126,6 +147,8 @@ def inverse_depths(
     return inverse, variance
 
 
+_LOOKS_DOWN = 0.5
+"""cosine between the cameras' axis and the vertical at the start, above which they see ground"""
 _TRACKING_TIMEOUT_S = 1.5
 _MIN_USED = 15
 _GATES_PX = (12.0, 6.0, 3.0, 3.0)
@@ -166,7 +189,11 @@ class StereoEstimator:
         right_from_left = rig.body_from_camera_right.inverse() @ rig.body_from_camera
         self._baseline = -float(right_from_left.translation[0])
         start = rig.world_from_body_start.translation
-        self._ground = GroundHeight(float(start[2]) - rig.vehicle.leg_height_m, params)
+        axis = (rig.world_from_body_start @ rig.body_from_camera).rotation[:, 2]
+        self._looks_down = bool(-axis[2] > _LOOKS_DOWN)
+        self._ground: GroundHeight | DepthAhead = DepthAhead()
+        if self._looks_down:
+            self._ground = GroundHeight(float(start[2]) - rig.vehicle.leg_height_m, params)
         self._shutter = ShutterModel(rig)
         self._twist = STATIONARY
         self._keyframe: _Keyframe | None = None
@@ -241,7 +268,10 @@ class StereoEstimator:
 
     def _depths(self, pixels: Array) -> Array:
         """(N,) of level ground along the optical axis at the filter's time."""
-        return ground_depths(pixels, self._rig.camera, self._pose, self._ground.height_m)
+        camera = self._rig.camera
+        if isinstance(self._ground, DepthAhead):
+            return self._ground.depths(bearing_rays(pixels, camera), self._pose)
+        return ground_depths(pixels, camera, self._pose, self._ground.height_m)
 
     @property
     def _pose(self) -> Pose:
@@ -249,7 +279,7 @@ class StereoEstimator:
         return self._nav.eskf.state.pose @ self._nav.imu_from_camera
 
     def _at_one_instant(self, pixels: Array) -> Array:
-        return self._shutter.at_instant(pixels, self._pose, self._ground.height_m, self._twist)
+        return self._shutter.to_instant(pixels, self._depths(pixels), self._twist)
 
     def _project(self, landmarks: Array) -> Array:
         """(N, 2) pixels of landmarks (N, 3) of the clone's IMU frame, NaN where behind."""
@@ -302,6 +332,8 @@ class StereoEstimator:
             found, shifts, self._ground.depths(rays, pose), scale, self._params
         )
         good = inverse > 0.0
+        if not self._looks_down:  # nothing but its disparity says where a corner is
+            good &= np.isin(np.arange(len(pixels)), found)
         if int(good.sum()) < _MIN_USED:
             return
         self._nav.renew_clone()

@@ -129,12 +129,17 @@ class InertialFilter:
         self.step_s = rig.imu_ticks / rig.tick_hz
         start = rig.world_from_body_start @ rig.body_from_imu
         zero, own = np.zeros(3), np.zeros(0) if calibration_sigmas is None else calibration_sigmas
-        state = NavState(0, start.rotation, start.translation, zero, zero, zero, np.zeros(len(own)))
+        speed = rig.start_velocity_mps
+        state = NavState(
+            0, start.rotation, start.translation, speed, zero, zero, np.zeros(len(own))
+        )  # fmt: skip
         self._unlevelled = attitude_known and rig.start_tilt_sigma_rad > 0.0
         biases = bias_sigmas(rig.imu, estimated=len(own) > 0)
         sigmas = np.concatenate([_START_SIGMAS, biases, own])
         if self._unlevelled:
             sigmas[:2] = np.hypot(sigmas[:2], rig.start_tilt_sigma_rad)
+        if rig.start_velocity_sigma_mps > 0.0:
+            sigmas[VELOCITY] = np.hypot(sigmas[VELOCITY], rig.start_velocity_sigma_mps)
         self.eskf = Eskf(state, sigmas**2)
         self.trail = Trail(state)
         self.stationary = False

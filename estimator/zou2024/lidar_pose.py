@@ -152,8 +152,26 @@ _LONGEST_GAP = 8
 _TURN_SIGMA, _LATERAL_SIGMA_M = np.radians(0.5), 0.3
 """information floor of a scan, and of each clone's part of the map: errors of their points that do
 not average out"""
+_ALL_ROUND = 0.1
+"""fraction of it for a LIDAR that looks all round: walls on all sides show the whole pose"""
 _MIN_RETURNS = 200
 _NONE = np.zeros(0, dtype=np.int64)
+
+
+def sees_all_round(beams_lidar: Array | Float32) -> bool:
+    """True if beams (N, 3) along the axes of the LIDAR do not all go its way."""
+    return bool((beams_lidar[:, 2] <= 0.0).any())
+
+
+def view_of(beams_lidar: Array) -> Array:
+    """(N, 2) directions of beams (N, 3): x / z and y / z of a LIDAR that looks along z, azimuth and
+    elevation of one that looks all round."""
+    if not sees_all_round(beams_lidar):
+        ahead: Array = beams_lidar[:, :2] / beams_lidar[:, 2:]
+        return ahead
+    level = np.hypot(beams_lidar[:, 0], beams_lidar[:, 1])
+    azimuth = np.arctan2(beams_lidar[:, 1], beams_lidar[:, 0])
+    return np.column_stack([azimuth, np.arctan2(beams_lidar[:, 2], level)])
 
 
 def scan_features(
@@ -178,7 +196,7 @@ def scan_features(
         f_c = scan_colour_smoothness(energy, points_camera, camera)
     features = sort_out_features(
         fused_smoothness(f_l, f_c, params.colour_weight), shadowed,
-        beams_lidar[:, :2] / beams_lidar[:, 2:], cells=params.planar_cells,
+        view_of(beams_lidar), cells=params.planar_cells,
         edges=params.edge_points, edge_threshold=params.edge_threshold,
     )  # fmt: skip
     return features, f_c
@@ -217,7 +235,8 @@ class LidarPositioning:
             features = ScanFeatures(points[chosen.edges], points[chosen.planes], mount.translation)
             if self._params.use_lidar_pose:
                 height = float(np.median(scan.ranges[placed.pulses]))
-                self._correct(features, height)
+                all_round = sees_all_round(scan.directions[placed.pulses])
+                self._correct(features, height, _ALL_ROUND if all_round else 1.0)
             self.maps.insert(features, eskf)
         self._recent.add(points, Frame.of(eskf.state.pose))
         return True
@@ -235,7 +254,7 @@ class LidarPositioning:
             scan.beams, in_lidar, in_camera, scan.pulses, energy, self._rig.camera, self._params
         )[0]
 
-    def _correct(self, features: ScanFeatures, height_m: float) -> None:
+    def _correct(self, features: ScanFeatures, height_m: float, floored: float) -> None:
         params, eskf = self._params, self._filter.eskf
         result = register_scan(
             features, self.maps, eskf.state.pose, self._filter.pose_information(),
@@ -244,7 +263,7 @@ class LidarPositioning:
         )  # fmt: skip
         if result is None:
             return
-        floor = np.repeat([_TURN_SIGMA, _LATERAL_SIGMA_M], 3)
+        floor = floored * np.repeat([_TURN_SIGMA, _LATERAL_SIGMA_M], 3)
         floor[5] = params.scan_height_sigma_m
         fraction = params.scan_calibration_gain * (height_m >= params.calibrate_above_m)
         update_with_scan(

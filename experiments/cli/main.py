@@ -36,6 +36,7 @@ _MODULES = {
     "keys": ("config",),
     "people": ("people",),
     "parts": ("calibrate", "check-estimator", "check-plugin", "control", "edges", "px4"),
+    "replay": ("replay",),
     "report": ("query", "regress", "report"),
     "scenes": ("scenes",),
     "vehicles": ("vehicles",),

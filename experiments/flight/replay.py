@@ -8,7 +8,7 @@ import itertools
 import shutil
 import time
 import warnings
-from collections.abc import Iterable, Iterator
+from collections.abc import Container, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -54,7 +54,7 @@ class LoggedRun:
 
     path: Path
     sensors: SensorLogReader
-    truth: dict[int, Pose]
+    truth: Mapping[int, Pose]
     """``world_from_body`` by tick, at the rate of ``truth.tum``"""
     result: RunResult
     from_s: float
@@ -63,11 +63,27 @@ class LoggedRun:
     """the end of the survey"""
 
     @property
+    def ticks(self) -> Container[int]:
+        """Ticks whose estimates are written."""
+        return self.truth
+
+    @property
     def truth_hz(self) -> float:
         """Rate of the true poses in Hz."""
         ticks = sorted(self.truth)
-        span = ticks[-1] - ticks[0]
+        span = ticks[-1] - ticks[0] if ticks else 0
         return self.sensors.rig.tick_hz * (len(ticks) - 1) / span if span else 0.0
+
+    def begin(self, folder: Path) -> None:
+        """Called with the directory of the replay, before it."""
+
+    def passed(self, obs: Observation, estimate: Estimate) -> None:
+        """Called after each observation."""
+
+    def finish(self, folder: Path, result: RunResult) -> RunResult:
+        """Writes the truth into the directory of the replay; returns the result to be written."""
+        shutil.copy(self.path / "truth.tum", folder / "truth.tum")
+        return result
 
     def judged(self, tick: int) -> bool:
         """True if positions at ``tick`` count: from lift-off to the end of the survey."""
@@ -164,8 +180,7 @@ def check_needs(name: str, estimator: Estimator, reader: SensorLogReader) -> Non
         missing.insert(0, f"images at {needs.camera_hz} Hz (it has {have})")
     if missing:
         raise UsageError(
-            f"'{reader.path}' lacks what {name} needs: {', '.join(missing)}; "
-            f"log a flight of an estimator that asks for it"
+            f"'{reader.path}' lacks what {name} needs: {', '.join(missing)}; {reader.remedy}"
         )
 
 
@@ -261,12 +276,13 @@ def replay(
     if out_dir is None:
         return _replay(logged, estimator, config, None, progress, injector, until_s)
     with run_directory(out_dir) as partial:
+        logged.begin(partial)
         writer = TumWriter(partial / "estimate.tum")
         try:
             result = _replay(logged, estimator, config, writer, progress, injector, until_s)
         finally:
             writer.close()
-        shutil.copy(run / "truth.tum", partial / "truth.tum")
+        result = logged.finish(partial, result)
         (partial / "config.json").write_text(dump_config(config), encoding="utf-8")
         (partial / "result.json").write_text(result.to_json(), encoding="utf-8")
     return result
@@ -289,12 +305,15 @@ def _replay(
         if obs.time_s >= until_s:
             break
         events.add(estimate.time_s, estimate.events)
-        true = logged.truth.get(obs.tick)
-        if true is None:
+        logged.passed(obs, estimate)
+        if obs.tick not in logged.ticks:
             continue
+        true = logged.truth.get(obs.tick)
         estimated, last_s = estimate.world_from_body, obs.time_s
         if writer is not None:
             writer.add(estimate.time_s, estimated)
+        if true is None:
+            continue
         if logged.judged(obs.tick):
             error.add(estimated, true)
             covariance = estimate.position_covariance
@@ -361,7 +380,7 @@ def _estimates(
             except (ValueError, TypeError, LookupError, ArithmeticError, cv2.error) as error:
                 raise UsageError(
                     f"'{logged.sensors.path}' holds messages after {last_s:.3f} s that the "
-                    "estimator cannot use; fly again with --log-sensors"
+                    f"estimator cannot use; {logged.sensors.remedy}"
                 ) from error
             last_s = obs.time_s
             yield obs, estimate

@@ -108,6 +108,8 @@ class SensorLogReader:
     """all sensor data that the flight simulated, hence that the log holds"""
     shared: SensorNeeds
     """the part of it that components other than the estimator requested"""
+    remedy = "log a flight of an estimator that asks for it"
+    """what to do where a sensor is missing"""
 
     def __init__(self, path: Path) -> None:
         self.path = path

@@ -1,0 +1,99 @@
+"""The command ``touchdown replay``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from touchdown.experiments.cli.common import (
+    EXIT_DONE,
+    EXIT_FAILED,
+    JSON,
+    OVERRIDES,
+    PATH,
+    QUIET,
+    Number,
+    answer,
+    completed,
+)
+from touchdown.experiments.cli.fly import ESTIMATORS
+from touchdown.experiments.terminal import end_progress, make_progress, say
+
+
+@click.command()
+@click.argument("data", type=PATH)
+@click.option(
+    "--rig",
+    type=PATH,
+    metavar="FILE",
+    help="Kalibr's camchain-imucam.yaml, or a TOML file: what DATA does not say.",
+)
+@click.option(
+    "--estimator",
+    metavar="NAME",
+    shell_complete=completed(lambda: ESTIMATORS),
+    help=f"{', '.join(ESTIMATORS[:-1])}, or MODULE:FUNCTION.  [livo]",
+)
+@click.option(
+    "--truth", type=PATH, metavar="FILE.tum", help="True poses of the body, on the clock of DATA."
+)
+@click.option(
+    "--align",
+    type=click.Choice(["origin", "se3"]),
+    default="origin",
+    show_default=True,
+    help="How the truth is moved to the estimate, as evo does it.",
+)
+@click.option("--moving", is_flag=True, help="DATA begins in motion.")
+@click.option(
+    "--from",
+    "from_s",
+    type=Number(min=0.0),
+    default=0.0,
+    metavar="S",
+    help="Begin so many seconds after the first frame.  [0]",
+)
+@click.option(
+    "--until", "until_s", type=Number(min=0.0), default=1e5, metavar="S", help="End there."
+)
+@OVERRIDES
+@click.option(
+    "--log-sensors",
+    is_flag=True,
+    help="Write sensors.mcap, as a flight does, for export and for fly --replay.",
+)
+@click.option("--out", type=PATH, help="Run directory.  [runs/DATA-ESTIMATOR-0-replay]")
+@JSON
+@QUIET
+def replay(
+    data: Path, out: Path | None, as_json: bool, quiet: bool, **options: Any
+) -> int:  # fmt: skip
+    """Replay a recording of a real flight through an estimator.
+
+    DATA is a folder of EuRoC (mav0/) or a sequence of KITTI odometry.
+
+    Example: touchdown replay V1_01_easy --estimator stereo
+    """
+    from touchdown.experiments.external.processes import none_left
+    from touchdown.experiments.io.run_directory import default_out_dir
+    from touchdown.experiments.recordings.run import ReplayOptions, replay_recording
+
+    asked = ReplayOptions(**options)
+    name = data.resolve().name
+    out = out or default_out_dir(name, asked.estimator or ESTIMATORS[0], 0, "-replay")
+    with none_left():
+        result = replay_recording(data, out, asked, make_progress(quiet))
+
+    def show(_figures: dict[str, Any]) -> None:
+        from touchdown.experiments.cli.console import print_result
+
+        print_result(result, out)
+        for event in result.events:
+            if event.time_s == 0.0:
+                say(event.text)
+
+    end_progress(quiet)
+    answer({**result.plain(), "run_dir": str(out)}, as_json, show)
+    return EXIT_DONE if result.is_success else EXIT_FAILED

@@ -1,0 +1,1 @@
+"""Recordings of others as observations of our estimators."""
