@@ -40,6 +40,12 @@ class SurveyParams:
     waypoints_m: tuple[tuple[float, float, float], ...] = ()
     """path in place of ``path``: metres east and north of the take-off spot, and height above it;
     read from the file"""
+    trajectory: str = ""
+    """TUM file of a trajectory that somebody flew, world z up: the vehicle is carried along it from
+    the take-off spot, and nothing else of the survey is flown"""
+    trajectory_lowest_m: Annotated[float, Interval(ge=0.3, le=500.0)] | None = None
+    """height of the legs at its lowest pose over the take-off ground; None: on the ground where it
+    starts about as low, else 2 m"""
     home_wgs84: tuple[float, float, float] | None = None
     """latitude and longitude (degrees) and height (m) of the take-off spot on WGS 84, for files;
     None: as the file says"""

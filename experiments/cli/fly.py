@@ -145,18 +145,24 @@ def land(site: tuple[float, float] | None, emergency: str | None, **options: Any
 @click.command()
 @click.argument("scene", required=False, shell_complete=SCENES)
 @_flight_options
+@click.option("--trajectory", metavar="FILE.tum",
+              help="Carry the sensors along these poses: t x y z qx qy qz qw, z up.")  # fmt: skip
 @click.option("--replay", "replayed", metavar="RUN", type=PATH,
               help="Run directory with sensors.mcap, which replaces the simulation.")  # fmt: skip
 def fly(replayed: Path | None, **options: Any) -> int:
     """Fly the survey alone and report the positioning error.
 
-    With --replay, logged sensors go through an estimator without the simulator. The scene is that
-    of RUN; the result is written to runs/SCENE-ESTIMATOR-SEED-replay..., or to --out.
+    With --trajectory, the vehicle is carried along poses that somebody flew. With --replay, logged
+    sensors go through an estimator without the simulator. The scene is that of RUN; the result is
+    written to runs/SCENE-ESTIMATOR-SEED-replay..., or to --out.
 
     Example: touchdown fly crossroad --estimator oracle --set survey.height_m=20
     """
+    trajectory = options.pop("trajectory")
     if replayed is None:
-        return _run_flight(options, survey_only=True)
+        return _run_flight(options, survey_only=True, trajectory=trajectory)
+    if trajectory is not None:
+        raise UsageError("--trajectory does not go with --replay: the flight is over")
     return _run_replay(replayed, options)
 
 

@@ -76,6 +76,7 @@ OPTION_KEYS: Mapping[str, str] = {
     "emergency": "landing.emergency",
     **{kind: slot.key for kind, slot in SLOTS.items() if kind != "estimator"},
     "survey_only": "landing.survey_only",
+    "trajectory": "survey.trajectory",
     "fault": "faults.events",
     "px4": "px4.path",
     "px4_port": "px4.port",

@@ -68,6 +68,7 @@ class Referee:
     """Judges every control step on the truth.
 
     ``ground``: the true ground. ``on_survey_end`` is called once.
+    ``carried``: the vehicle follows a trajectory whatever its tilt.
     ``by_class``: the class of the ground counts as well as its geometry. ``commanded_xy_m``: the
     commanded site, stated in the result.
     """
@@ -82,9 +83,10 @@ class Referee:
         on_survey_end: Callable[[], None] = lambda: None,
         by_class: bool = False,
         commanded_xy_m: tuple[float, float] | None = None,
+        carried: bool = False,
     ) -> None:
         self._params = params
-        self._upright_cosine = math.cos(math.radians(params.tip_tilt_deg))
+        self._upright_cosine = math.cos(math.radians(180.0 if carried else params.tip_tilt_deg))
         self._survey_only = survey_only
         self._ground = ground
         self._moving_geoms = ground.moving_geoms

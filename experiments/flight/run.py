@@ -186,5 +186,6 @@ def make_referee(
         ground=TruthLookup(scene),
         on_survey_end=on_survey_end,
         by_class=by_class,
+        carried=bool(config.survey.trajectory),
         commanded_xy_m=config.landing.site_xy_m,
     )

@@ -137,6 +137,10 @@ def build_flight_stack(config: Config, scene: Scene) -> FlightStack:
     lander: Lander = own_lander or SiteLander(
         rig, config.landing, config.survey, classifier, select, watch
     )
+    if config.survey.trajectory:
+        from touchdown.experiments.flight.carried import Passenger
+
+        lander = Passenger(world.duration_s)
     needs = estimator.needs
     if autopilot is not None:
         lander = autopilot.holding(lander)
@@ -244,6 +248,10 @@ def world_params(config: Config) -> WorldParams:
 
 def make_world(config: Config, scene: Scene, drawn: bool = False) -> Any:
     """The world of a configuration; ``drawn`` as in `sim.world.MujocoWorld`."""
+    if config.survey.trajectory:
+        from touchdown.experiments.flight.carried import carried_world
+
+        return carried_world(config, scene, world_params(config), drawn)
     from touchdown.sim.world import MujocoWorld
 
     return MujocoWorld(scene, world_params(config), config.world_seed, drawn=drawn)

@@ -96,7 +96,7 @@ def test_one_fault_needs_no_brackets(tmp_path: Path) -> None:
 OPEN_NAMES = {
     "scene", "estimator", "vehicle", "rig", "external", "calibration", "scene_classes",
     "harsh_effects",
-    "traffic.paths", "survey.path", "landing.people_network", "faults.events",
+    "traffic.paths", "survey.path", "survey.trajectory", "landing.people_network", "faults.events",
     "variant", "zou2024.edge_model", "px4.path", "px4.parameters",
     *(slot.key for slot in SLOTS.values()),
 }  # fmt: skip
