@@ -6,6 +6,7 @@ a scan, of its beginning). The time in the bag is that of the arrival on board, 
 sends all messages in the order of the flight.
 """
 
+import json
 from collections import Counter, deque
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -35,6 +36,7 @@ from touchdown.experiments.export.flown_run import (
 )
 from touchdown.experiments.export.tables import velocities
 from touchdown.experiments.io import ros2_messages as ros
+from touchdown.experiments.io.dataclass_json import to_plain
 from touchdown.experiments.io.ros2_messages import Link
 from touchdown.experiments.io.sensor_log_reader import PackedImage, SensorLogReader, unpack_image
 from touchdown.experiments.io.tum import Trajectory
@@ -64,8 +66,8 @@ _LATCHED = Qos(
     avoid_ros_namespace_conventions=False,
 )
 """of static transforms: a player offers the last message to nodes that start late"""
-WRITTEN_BY = "written_by"
-"""key of the bag's metadata that names its writer"""
+WRITTEN_BY, RIG = "written_by", "rig"
+"""keys of the bag's metadata: its writer, and the rig as `touchdown replay` reads it"""
 _BEAM_DOWN = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
 """body_from_rangefinder: x, along the beam, points down"""
 
@@ -115,6 +117,7 @@ def write_bag(flown: FlownRun, folder: Path, options: ExportOptions) -> Exported
 
 def _fill(log: SensorLogReader, flown: FlownRun, folder: Path, options: ExportOptions) -> Bag:
     with Bag(folder) as bag:
+        bag.set_custom_data(RIG, json.dumps(to_plain(log.rig)))
         sensors = _Sensors(bag, log.rig, log.sensed, options)
         rows = _trajectories(flown, options, bag)
         waiting = next(rows, np.inf)
@@ -171,6 +174,7 @@ class _Sensors:
             self._bag.put("/lidar/points", arrival_ns, message)
         for image in images if self._images != "none" else ():
             self._add_image(arrival_ns, image)
+        self._bag.put("/rotors", arrival_ns, ros.rotors_message(arrival_ns, obs.rotor_speed_radps))
         for name, (topic, message_of) in self._channels.items():
             for one in getattr(obs, name):
                 if (message := message_of(self._ns(one.tick), one)) is not None:

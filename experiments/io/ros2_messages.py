@@ -181,6 +181,16 @@ def _point_fields(layout: np.dtype[Any]) -> list[Any]:
     ]
 
 
+def rotors_message(time_ns: int, speeds: Array) -> Any:
+    """``sensor_msgs/msg/JointState`` of rotors with ``speeds`` (R,) rad/s."""
+    names = [f"rotor_{number}" for number in range(len(speeds))]
+    blank = np.zeros(0)
+    return _make(
+        "sensor_msgs/msg/JointState", _header(time_ns, "base_link"), names, blank,
+        np.asarray(speeds, np.float64), blank,
+    )  # fmt: skip
+
+
 def pressure_message(time_ns: int, frame: str, pascal: float) -> Any:
     """``sensor_msgs/msg/FluidPressure``"""
     return _make("sensor_msgs/msg/FluidPressure", _header(time_ns, frame), pascal, 0.0)

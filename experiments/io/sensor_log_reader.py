@@ -125,7 +125,7 @@ class SensorLogReader:
             self.rig = from_plain(SensorRig, json.loads(facts["rig"], parse_constant=_not_nan))
             self.sensed = from_plain(SensorNeeds, json.loads(facts["sensed"]))
             self.shared = from_plain(SensorNeeds, json.loads(facts["shared"]))
-            _check_rig(self.rig)
+            check_rig(self.rig)
 
     def __iter__(self) -> Iterator[Observation]:
         return self.observations()
@@ -328,7 +328,7 @@ def _not_nan(constant: str) -> float:
     return float(constant)
 
 
-def _check_rig(rig: SensorRig) -> None:
+def check_rig(rig: SensorRig) -> None:
     """Raises DamagedError for a rig that no flight has."""
     for name in _POSITIVE:
         if not 0 < attrgetter(name)(rig) < math.inf:

@@ -216,7 +216,7 @@ def truth_at_ticks(truth: PoseTable, clock: Clock, last_tick: int) -> dict[int, 
         first = min(k, len(poses) - 2)
         span = times[first + 1] - times[first]
         fraction = (tick / clock.tick_hz - times[first]) / span
-        if not 0.0 <= fraction <= 2.0:
+        if not -1e-6 <= fraction <= 2.0:
             continue
         found[tick] = interpolate_pose(poses[first], poses[first + 1], float(fraction))
         before = tick

@@ -52,6 +52,7 @@ from touchdown.sim.api import (
     VehicleModel,
 )
 from touchdown.sim.frames import Pose
+from touchdown.sim.typing import Array
 
 _PEEKED = 60
 """frames by which rates are known"""
@@ -119,18 +120,25 @@ class ComposedLog(SensorLogReader):
         has_right = any(isinstance(one, RawImage) and one.right for one in peeked)
         self._optics = self._optics_of(has_right) if self._periods["left"] else None
         self._check_pairs(peeked)
-        stereo = self._optics is not None and has_right and parts.right is not None
+        stereo = self._optics is not None and has_right and (
+            parts.right is not None or whole is not None
+        )  # fmt: skip
         self._pair_as_scan = (
             pair_as_scan and stereo and whole is None and not self._periods["scan"]
         )  # fmt: skip
         self._first_velocity = first_velocity(peeked, parts) if not self._still else None
         self.rig = whole or self._rig()
-        camera_hz = self.rig.tick_hz // self.rig.camera_ticks if self._periods["left"] else 0
+        camera_hz = max(round(1.0 / self._periods["left"]), 1) if self._periods["left"] else 0
         self.sensed = SensorNeeds(
             camera_hz=camera_hz, stereo=stereo,
             lidar=self._periods["scan"] > 0.0 or self._pair_as_scan,
         )  # fmt: skip
         self.shared = SensorNeeds()
+        self._rotors = recording.rotors() if whole is not None else None
+        if self._rotors is not None and self._rotors.speeds.shape[1] != len(
+            self.rig.vehicle.rotor_spin
+        ):
+            raise UsageError(f"'{self.path}' and its rig have different numbers of rotors")
         self.counts: Counter[str] = Counter()
         """messages of the last replay by kind, and those that could not be used"""
 
@@ -321,12 +329,20 @@ class ComposedLog(SensorLogReader):
                 tick=tick, time_s=time_s, scans=tuple(scans), images=tuple(pictures),
                 imu=(ImuSample(tick=tick, time_s=time_s, angular_velocity=grid.gyro[k],
                                specific_force=grid.force[k]),),
-                rotor_speed_radps=np.full(len(rig.vehicle.rotor_spin),
-                                          _CARRYING if k >= self._still else 0.0),
+                rotor_speed_radps=self._rotor_speeds(k, time_s),
                 battery_fraction=1.0,
             )  # fmt: skip
             if waiting.empty:
                 return
+
+    def _rotor_speeds(self, step: int, time_s: float) -> Array:
+        """(R,) of the recording; without them the rotor of the stand-in turns after the rest."""
+        table, count = self._rotors, len(self.rig.vehicle.rotor_spin)
+        if table is None:
+            return np.full(count, _CARRYING if step >= self._still else 0.0)
+        stamp = self.clock.start_ns + round(1e9 * time_s) + 1
+        row = max(int(np.searchsorted(table.stamps_ns, stamp, side="right")) - 1, 0)
+        return np.asarray(table.speeds[row])
 
     def _time_of(self, frame: RawFrame) -> float:
         """Time of a frame by the clock of the IMU: of a scan its end."""
@@ -346,7 +362,7 @@ class ComposedLog(SensorLogReader):
             start, last = start + first, last - first
         if last == 0.0:
             return start - 1.0 / self.rig.tick_hz, start
-        return start, start + (period if _FULL_SWEEP * period < last < period else last)
+        return start, start + (period if _FULL_SWEEP * period < last < 1.02 * period else last)
 
     def _scan(self, frame: RawScan, newest: int) -> LidarScan | None:
         """The scan, None where it has no pulse or lies before the start or the one before."""

@@ -45,6 +45,16 @@ class PoseTable:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
+class RotorTable:
+    """Speeds of rotors, ascending in time."""
+
+    stamps_ns: Stamps
+    """(N,)"""
+    speeds: Array
+    """(N, R) rad/s"""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
 class RawScan:
     """Returns of one sweep of a LIDAR."""
 
@@ -77,8 +87,6 @@ class Lens:
 
     intrinsics: CameraIntrinsics
     body_from_camera: Pose
-    fisheye: bool = False
-    """the distortion is Kannala and Brandt's (Kalibr: ``equidistant``), four coefficients"""
     offset_s: float = 0.0
     """what is added to its stamps to give the time of the IMU's clock"""
 
@@ -148,6 +156,10 @@ class Recording(Protocol):
 
     def truth(self) -> PoseTable | None:
         """Poses of the body; None without."""
+        ...
+
+    def rotors(self) -> RotorTable | None:
+        """Speeds of the rotors of the vehicle; None without, as is usual."""
         ...
 
     def frames(self, span: Span = ALL) -> Iterator[RawFrame]:

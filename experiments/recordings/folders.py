@@ -125,6 +125,10 @@ class EurocFolder:
         stamps, values = _told(file, lambda: _rows(file, 7))
         return PoseTable(stamps_ns=stamps, positions=values[:, :3], quats_wxyz=values[:, 3:])
 
+    def rotors(self) -> None:
+        """Not in this format."""
+        return
+
     def _lists(self) -> list[list[tuple[int, Path]]]:
         return [_told(folder, functools.partial(_listed, folder))
                 for folder in (self._root / "cam0", self._root / "cam1")
@@ -148,11 +152,11 @@ def _lens(folder: Path) -> Lens:
     told = read_yaml(folder / "sensor.yaml")
     mount = pose_of(told["T_BS"]["data"], "T_BS")
     model = told.get("distortion_model", "none")
-    camera, fisheye = intrinsics_of(
+    camera = intrinsics_of(
         model, told["resolution"], told["intrinsics"], told.get("distortion_coefficients", []),
         folder.name,
     )  # fmt: skip
-    return Lens(intrinsics=camera, body_from_camera=mount, fisheye=fisheye)
+    return Lens(intrinsics=camera, body_from_camera=mount)
 
 
 def _listed(folder: Path) -> list[tuple[int, Path]]:
@@ -264,6 +268,10 @@ class KittiFolder:
             positions=np.array([pose.translation for pose in poses]),
             quats_wxyz=np.array([quat_wxyz_from_matrix(pose.rotation) for pose in poses]),
         )
+
+    def rotors(self) -> None:
+        """Not in this format."""
+        return
 
     def begins_ns(self) -> int:
         """The first stamp of a frame."""

@@ -69,15 +69,11 @@ class Optics(NamedTuple):
 
 
 def optics_of(left: Lens, right: Lens | None) -> Optics:
-    """The optics of one lens, or of a pair, which is rectified unless it is so already. A fisheye
-    is resampled to a pinhole of the same focal length and size. Raises ValueError."""
+    """The optics of one lens, or of a pair, which is rectified unless it is so already. Raises
+    ValueError."""
     if right is None:
-        if not left.fisheye:
-            return Optics(left.intrinsics, left.body_from_camera, left.body_from_camera,
-                          (None, None))  # fmt: skip
-        maps = _maps(left, np.eye(3), left.intrinsics.matrix())
-        return Optics(_ideal(left.intrinsics, left.intrinsics.matrix()), left.body_from_camera,
-                      left.body_from_camera, (maps, None))  # fmt: skip
+        mount = left.body_from_camera
+        return Optics(left.intrinsics, mount, mount, (None, None))
     one, two = left.intrinsics, right.intrinsics
     if (one.width, one.height) != (two.width, two.height):
         raise ValueError("the two cameras have images of different sizes")
@@ -105,19 +101,19 @@ def optics_of(left: Lens, right: Lens | None) -> Optics:
 def _ideal(camera: CameraIntrinsics, matrix: NDArray[np.float64]) -> CameraIntrinsics:
     return dataclasses.replace(
         camera, fx=float(matrix[0, 0]), fy=float(matrix[1, 1]), cx=float(matrix[0, 2]),
-        cy=float(matrix[1, 2]), distortion=np.zeros(5),
+        cy=float(matrix[1, 2]), distortion=np.zeros(5), lens="pinhole",
     )  # fmt: skip
 
 
 def _same_lens(left: Lens, right: Lens) -> bool:
     one, two = left.intrinsics, right.intrinsics
     same = np.allclose(one.matrix(), two.matrix(), atol=_SAME, rtol=0.0)
-    return not left.fisheye and same and np.array_equal(one.distortion, two.distortion)
+    return same and one.lens == two.lens and np.array_equal(one.distortion, two.distortion)
 
 
 def _maps(lens: Lens, turn: NDArray[np.float64], matrix: NDArray[np.float64]) -> Maps:
     camera, size = lens.intrinsics, (lens.intrinsics.width, lens.intrinsics.height)
-    if lens.fisheye:
+    if camera.lens == "fisheye":
         found = cv2.fisheye.initUndistortRectifyMap(
             camera.matrix(), camera.distortion[:4], turn, matrix, size, cv2.CV_16SC2
         )

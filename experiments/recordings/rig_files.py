@@ -15,6 +15,7 @@ from pydantic import TypeAdapter
 from touchdown.experiments.config.files import read_tree
 from touchdown.experiments.errors import UsageError, reason_of
 from touchdown.experiments.io.dataclass_json import from_plain
+from touchdown.experiments.io.sensor_log_reader import check_rig
 from touchdown.experiments.io.untrusted import shown
 from touchdown.experiments.recordings.contract import Lens, RigParts
 from touchdown.sim.api import CameraIntrinsics, ImuSheet, LidarSheet, SensorRig
@@ -39,7 +40,7 @@ def read_rig(path: Path) -> RigParts:
     try:
         check_file(path, "rig", _MAX_BYTES)
         if path.suffix == ".json":
-            return RigParts(whole=from_plain(SensorRig, read_tree(path)))
+            return RigParts(whole=whole_rig(read_tree(path)))
         if path.suffix == ".toml":
             return _of_toml(read_tree(path))
         return _of_kalibr(read_yaml(path))
@@ -49,6 +50,13 @@ def read_rig(path: Path) -> RigParts:
         raise UsageError(f"rig '{path}' lacks {shown(error.args[0])}") from error
     except (ValueError, TypeError, OSError) as error:
         raise UsageError(f"rig '{path}': {reason_of(error)}") from error
+
+
+def whole_rig(tree: object) -> SensorRig:
+    """The rig that our exports write. Raises ValueError, TypeError or KeyError for another tree."""
+    rig: SensorRig = from_plain(SensorRig, tree)
+    check_rig(rig)
+    return rig
 
 
 def read_yaml(path: Path) -> Mapping[str, Any]:
@@ -105,8 +113,8 @@ def _size(given: list[Any]) -> int:
 
 def intrinsics_of(
     model: str, size: object, four: object, distortion: object, what: str
-) -> tuple[CameraIntrinsics, bool]:
-    """A pinhole camera, and whether its distortion is that of a fisheye. Raises RigError."""
+) -> CameraIntrinsics:
+    """A camera. Raises RigError."""
     if model not in _LENSES:
         raise RigError(f"{what}: distortion {shown(model)} is none of {', '.join(_LENSES)}")
     width, height = numbers(size, 2, f"resolution of {what}").astype(int).tolist()
@@ -118,10 +126,10 @@ def intrinsics_of(
         raise RigError(f"{what}: {len(given)} coefficients of distortion are not {model}")
     coefficients = np.zeros(5)
     coefficients[: len(given)] = numbers(given, len(given), f"distortion of {what}")
-    lens = CameraIntrinsics(
-        width=width, height=height, fx=fx, fy=fy, cx=cx, cy=cy, distortion=coefficients
-    )
-    return lens, model in _FISHEYE
+    return CameraIntrinsics(
+        width=width, height=height, fx=fx, fy=fy, cx=cx, cy=cy, distortion=coefficients,
+        lens="fisheye" if model in _FISHEYE else "pinhole",
+    )  # fmt: skip
 
 
 def _of_kalibr(tree: Mapping[str, Any]) -> RigParts:
@@ -141,13 +149,13 @@ def _of_kalibr(tree: Mapping[str, Any]) -> RigParts:
         else:
             from_imu = pose_of(camera["T_cn_cnm1"], f"T_cn_cnm1 of {what}") @ before
         before = from_imu
-        lens, fisheye = intrinsics_of(
+        lens = intrinsics_of(
             camera.get("distortion_model", "none"), camera["resolution"], camera["intrinsics"],
             camera.get("distortion_coeffs", []), what,
         )  # fmt: skip
         shift = float(numbers(camera.get("timeshift_cam_imu", 0.0), 1, f"timeshift of {what}")[0])
         lenses.append(
-            Lens(intrinsics=lens, body_from_camera=from_imu.inverse(), fisheye=fisheye,
+            Lens(intrinsics=lens, body_from_camera=from_imu.inverse(),
                  offset_s=shift)
         )  # fmt: skip
         if isinstance(camera.get("rostopic"), str):
@@ -195,7 +203,7 @@ def _lens_of_toml(table: Mapping[str, Any], what: str) -> Lens:
         raise RigError(f"{what}.{min(unknown)[:40]} is none of {', '.join(sorted(known))}")
     given = table.get("distortion", [])
     model = table.get("distortion_model", "radtan" if given else "none")
-    lens, fisheye = intrinsics_of(model, table["resolution"], table["intrinsics"], given, what)
+    lens = intrinsics_of(model, table["resolution"], table["intrinsics"], given, what)
     mount = pose_of(table["body_from_camera"], f"{what}.body_from_camera")
     offset = float(numbers(table.get("time_offset_s", 0.0), 1, f"{what}.time_offset_s")[0])
-    return Lens(intrinsics=lens, body_from_camera=mount, fisheye=fisheye, offset_s=offset)
+    return Lens(intrinsics=lens, body_from_camera=mount, offset_s=offset)

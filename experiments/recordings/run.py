@@ -23,6 +23,7 @@ from touchdown.experiments.io.run_directory import SENSORS_FILE
 from touchdown.experiments.io.sensor_log import SensorLog
 from touchdown.experiments.io.tum import TumWriter, read_tum
 from touchdown.experiments.io.untrusted import as_plain_name
+from touchdown.experiments.recordings.bags import RosBag
 from touchdown.experiments.recordings.clock import poses_of, truth_at_ticks
 from touchdown.experiments.recordings.compose import ComposedLog
 from touchdown.experiments.recordings.contract import PoseTable, Recording, RigParts, Span
@@ -72,13 +73,15 @@ def open_recording(path: Path, parts: RigParts) -> Recording:
     UsageError."""
     if not path.exists():
         raise UsageError(f"'{path}' does not exist")
+    if RosBag.holds(path):
+        return RosBag(path, parts)
     if path.is_dir() and EurocFolder.holds(path):
         return EurocFolder(path)
     if path.is_dir() and KittiFolder.holds(path):
         return KittiFolder(path)
     raise UsageError(
-        f"'{path}' is no recording: neither a folder of EuRoC (mav0/) nor one of KITTI odometry "
-        "(calib.txt, velodyne/)"
+        f"'{path}' is no recording: no bag (.bag, or a folder with metadata.yaml), no folder of "
+        "EuRoC (mav0/) and none of KITTI odometry (calib.txt, velodyne/)"
     )
 
 
@@ -118,11 +121,15 @@ def _name(data: Path) -> str:
 def _config(data: Path, options: ReplayOptions, log: ComposedLog) -> Config:
     """The configuration, with the clock of the recording's camera: an estimator that wants images
     at a rate that does not divide it gets the next lower one that does."""
-    clock_hz, given = log.sensed.camera_hz, []
+    clock_hz, given = log.rig.tick_hz // log.rig.camera_ticks, []
     ticks = SimParams().tick_hz
-    if clock_hz and ticks % clock_hz == 0:
+    if (
+        log.sensed.camera_hz
+        and ticks % clock_hz == 0
+        and clock_hz != ticks // SimParams().camera_ticks
+    ):
         given.append(f"sim.camera_ticks={ticks // clock_hz}")
-        usual = load_config()
+        usual = load_config(None, [o for o in options.overrides if ".camera_hz" not in o])
         for key in _SEES:
             hz = getattr(usual, key).camera_hz
             fits = max(one for one in range(1, hz + 1) if clock_hz % one == 0)

@@ -70,7 +70,11 @@ def test_counts_and_times_are_the_runs(
     for topic in ("/odom", "/ground_truth/odom"):
         assert [stamp_of(message) for _, message in messages[topic]] == rows
     assert [time_ns for time_ns, _ in messages["/tf"]] == rows
-    assert set(messages) == {*measured, "/odom", "/ground_truth/odom", "/tf", "/tf_static"}
+    assert set(messages) == {
+        *measured, "/odom", "/ground_truth/odom", "/rotors", "/tf", "/tf_static"
+    }  # fmt: skip
+    speeds = [obs.rotor_speed_radps.tolist() for obs in stream]
+    assert [message.velocity.tolist() for _, message in messages["/rotors"]] == speeds
 
 
 def test_messages_are_logged_as_they_arrived(bag: Path, stream: list[Observation]) -> None:

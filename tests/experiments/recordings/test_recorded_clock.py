@@ -121,14 +121,21 @@ def test_a_fit_of_points_is_the_motion_between_them() -> None:
 LENS = {"width": 640, "height": 480, "fx": 400.0, "fy": 405.0, "cx": 322.0, "cy": 238.0}
 
 
+def fisheye_of(lens: Lens) -> bool:
+    return lens.intrinsics.lens == "fisheye"
+
+
 @pytest.mark.parametrize("fisheye", [False, True])
 def test_a_rectified_pair_has_points_in_one_row(fisheye: bool) -> None:
     import cv2
 
     left = Lens(
-        intrinsics=CameraIntrinsics(**LENS, distortion=np.array([-0.2, 0.05, 1e-3, 0.0, 0.0])),
+        intrinsics=CameraIntrinsics(
+            **LENS,
+            distortion=np.array([-0.2, 0.05, 1e-3, 0.0, 0.0]),
+            lens="fisheye" if fisheye else "pinhole",
+        ),
         body_from_camera=Pose(so3_exp(np.array([0.02, -0.01, 0.03])), np.array([0.1, 0.0, 0.0])),
-        fisheye=fisheye,
     )
     right = Lens(
         intrinsics=CameraIntrinsics(**{**LENS, "fx": 410.0, "cx": 318.0}),
@@ -139,8 +146,8 @@ def test_a_rectified_pair_has_points_in_one_row(fisheye: bool) -> None:
     seen = []
     for number, lens in enumerate((left, right)):
         image = np.zeros((480, 640, 3), np.uint8)
-        project = cv2.fisheye.projectPoints if lens.fisheye else cv2.projectPoints
-        model = lens.intrinsics.distortion[: 4 if lens.fisheye else 5]
+        project = cv2.fisheye.projectPoints if fisheye_of(lens) else cv2.projectPoints
+        model = lens.intrinsics.distortion[: 4 if fisheye_of(lens) else 5]
         inside = lens.body_from_camera.inverse().apply(point).reshape(1, 1, 3)
         at = project(inside, np.zeros(3), np.zeros(3), lens.intrinsics.matrix(), model)[0].ravel()
         cv2.circle(image, np.rint(16 * at).astype(int).tolist(), 48, (255, 255, 255), -1, shift=4)
@@ -190,7 +197,7 @@ def test_a_rig_of_kalibr(tmp_path: Path) -> None:
     file.write_text(KALIBR)
     rig = read_rig(file)
     assert rig.camera is not None and rig.right is not None
-    assert rig.camera.fisheye and not rig.right.fisheye and rig.camera.offset_s == -0.092
+    assert fisheye_of(rig.camera) and not fisheye_of(rig.right) and rig.camera.offset_s == -0.092
     assert rig.topics == {"camera": "/left"}
     np.testing.assert_allclose(rig.camera.body_from_camera.translation, [-0.3, 0.1, 0.2])
     np.testing.assert_allclose(
