@@ -2,7 +2,7 @@
 
 Levels and shapes are fitted to recorded flights of a DJI Phantom 4 with four Xsens DOT IMUs fixed
 to the airframe (Hurwitz and Klein, "Quadrotor Dead Reckoning with Multiple Inertial Sensors",
-2023); ``touchdown bench imu`` compares both. That sensor integrates at 800 Hz and hands out means
+2023); ``touchdown gap`` compares both. That sensor integrates at 800 Hz and hands out means
 over 1/120 s, so that lines above 60 Hz appear at their aliases, weakened by the mean. The fit puts
 the same mean over this model, at the rotor speeds of that vehicle, and compares what remains; the
 vibration itself is in continuous time and may be sampled at any rate.

@@ -311,26 +311,6 @@ def bench_ablate(
     return ablate(runs, method, seconds, lambda text: _report(quiet, text))
 
 
-def _print_spectra(figures: dict[str, Any]) -> None:
-    from touchdown.experiments.benchmarks.imu_spectra import rows
-
-    say("\n".join(rows(figures)))
-
-
-@bench.command("imu")
-@click.option("--data", type=PATH, required=True, metavar="DIR",
-              help="Recorded flights of Hurwitz and Klein (2023).")  # fmt: skip
-@answered(_print_spectra)
-def bench_imu(data: Path) -> dict[str, Any]:
-    """Compare the vibration of the simulated IMU with that of recorded flights, band by band.
-
-    Example: touchdown bench imu --data flights
-    """
-    from touchdown.experiments.benchmarks.imu_spectra import measure
-
-    return {name: array.tolist() for name, array in measure(data).items()}
-
-
 def _print_touchdown(figures: dict[str, Any]) -> None:
     from touchdown.experiments.benchmarks.contact.tipping import table
 

@@ -33,6 +33,7 @@ _MODULES = {
     "classification": ("classify", "dataset", "ensemble", "evaluate", "quantize", "train"),
     "doctor": ("doctor",),
     "fly": ("fly", "land"),
+    "gap": ("gap",),
     "keys": ("config",),
     "people": ("people",),
     "parts": ("calibrate", "check-estimator", "check-plugin", "control", "edges", "px4"),

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from touchdown.experiments.benchmarks.imu_spectra import RECORDED_HZ, band_rms, recorded_vibration
+from touchdown.experiments.gap.vibration import RECORDED_HZ, band_rms, recorded_vibration
 from touchdown.sim import vibration
 from touchdown.sim.api import ImuParams
 from touchdown.sim.imu import ImuSensor
@@ -27,7 +27,7 @@ RECORDED_RMS = np.array(
     ]
 )
 """rad/s and m/s^2 of each axis in 10-20, ... 50-60 Hz: medians over the recorded flights, as
-`touchdown bench imu` prints them"""
+`touchdown gap` compares them"""
 
 
 def samples(model: PropellerVibration, speeds: Array) -> Array:

@@ -8,7 +8,6 @@ at 5 m/s that of the front rotors lies at 38 Hz, the alias of 82 Hz; in manoeuvr
 """
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -18,13 +17,13 @@ from touchdown.sim.api import ImuParams
 from touchdown.sim.typing import Array
 from touchdown.sim.vibration import PropellerVibration
 
-AXES = ("gyro x", "gyro y", "gyro z", "accel x", "accel y", "accel z")
 BANDS_HZ = ((10, 20), (20, 30), (30, 40), (40, 50), (50, 60))
 """below 10 Hz the vehicle's own motion covers the vibration"""
 RECORDED_HZ = 120.0
 RECORDED_HOVER_HZ, RECORDED_SPREAD_HZ, RECORDED_WANDER_S = 88.0, 8.0, 0.5
 _SEGMENT = 256
-_SECONDS = 120.0
+SECONDS = 120.0
+"""of the model, beside recordings of ten to sixty"""
 _AS_RECORDED = ImuParams(vibration_harmonics=1.0, vibration_broadband=1.0)
 
 
@@ -92,23 +91,3 @@ def _wander(
     drive = np.sqrt(1.0 - keep**2) * rng.standard_normal((count, 4))
     drive[0] = rng.standard_normal(4)
     return np.asarray(mean * (1.0 + fraction * lfilter([1.0], [1.0, -keep], drive, axis=0)))
-
-
-def measure(folder: Path) -> dict[str, Any]:
-    """Root mean squares (6, bands): ``recorded``, the medians over the recordings in ``folder``,
-    and ``simulated``. Raises UsageError."""
-    recorded = [band_rms(one[:, 1:], RECORDED_HZ) for one in read_recordings(folder).values()]
-    return {
-        "recorded": np.median(recorded, axis=0),
-        "simulated": band_rms(recorded_vibration(_SECONDS), RECORDED_HZ),
-    }
-
-
-def rows(found: dict[str, Any]) -> list[str]:
-    """Lines of the printed table: recorded and simulated root mean square in each band."""
-    bands = "".join(f"{f'{low}-{high} Hz':>18}" for low, high in BANDS_HZ)
-    lines = [f"{'':8}{bands}   recorded, simulated"]
-    for axis, name in enumerate(AXES):
-        pairs = zip(found["recorded"][axis], found["simulated"][axis], strict=True)
-        lines.append(f"{name:8}" + "".join(f"{a:10.4f}{b:8.4f}" for a, b in pairs))
-    return lines
