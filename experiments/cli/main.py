@@ -37,7 +37,7 @@ _MODULES = {
     "keys": ("config",),
     "people": ("people",),
     "parts": ("calibrate", "check-estimator", "check-plugin", "control", "edges", "px4"),
-    "replay": ("replay",),
+    "replay": ("datasets", "replay"),
     "report": ("query", "regress", "report"),
     "scenes": ("scenes",),
     "vehicles": ("vehicles",),

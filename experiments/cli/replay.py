@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -41,7 +42,7 @@ from touchdown.experiments.terminal import end_progress, make_progress, say
 )
 @click.option(
     "--align",
-    type=click.Choice(["origin", "se3"]),
+    type=click.Choice(["origin", "se3", "none"]),
     default="origin",
     show_default=True,
     help="How the truth is moved to the estimate, as evo does it.",
@@ -72,7 +73,8 @@ def replay(
 ) -> int:  # fmt: skip
     """Replay a recording of a real flight through an estimator.
 
-    DATA is a folder of EuRoC (mav0/) or a sequence of KITTI odometry.
+    DATA is a bag of ROS 1 or ROS 2, a folder of EuRoC (mav0/), a sequence of KITTI odometry or a
+    log of PX4 (.ulg).
 
     Example: touchdown replay V1_01_easy --estimator stereo
     """
@@ -97,3 +99,34 @@ def replay(
     end_progress(quiet)
     answer({**result.plain(), "run_dir": str(out)}, as_json, show)
     return EXIT_DONE if result.is_success else EXIT_FAILED
+
+
+@click.command()
+@click.argument("name", required=False)
+@JSON
+def datasets(name: str | None, as_json: bool) -> int:
+    """List recordings of others that `touchdown replay` reads: what, how large, whose, where.
+
+    NAME shows one with its layout and its command.
+
+    Example: touchdown datasets mars-lvig
+    """
+    import tomllib
+
+    from touchdown.experiments.errors import UsageError, nearest
+
+    text = (files("touchdown.experiments.recordings") / "datasets.toml").read_text("utf-8")
+    known = tomllib.loads(text)
+    if name is not None and name not in known:
+        told = nearest(name, known)
+        raise UsageError(f"unknown data set '{name}'{told}; known: {', '.join(known)}")
+
+    def show(_figures: Any) -> None:
+        if name is None:
+            for one, row in known.items():
+                say(f"{one}: {row['what']}; {row['size']}; {row['licence']}")
+            return
+        for key, value in known[name].items():
+            say(f"{key}: {value}")
+
+    return answer(known if name is None else known[name], as_json, show)

@@ -243,6 +243,10 @@ class RosBag:
         stamps = np.array([row[0] for row in rows], np.int64)
         return poses_of(stamps[good], values[good, :3], values[good, 3:])
 
+    def nav(self) -> None:
+        """Not read from bags."""
+        return
+
     def rotors(self) -> RotorTable | None:
         """The velocities of the joints, which our exports write."""
         rows = [(_stamp(m), np.array(m.velocity)) for m in

@@ -188,7 +188,7 @@ def level_pose(force: Array) -> Pose:
     if not 0.7 * GRAVITY_MPS2 < size < 1.3 * GRAVITY_MPS2:
         raise UsageError(
             f"the mean specific force at the start is {size:.2f} m/s^2, not gravity's: is it in "
-            "m/s^2, and does the rig not fall? Livox states it in g"
+            "m/s^2, and does the rig not fall?"
         )
     up = force / size
     axis = np.cross(up, [0.0, 0.0, 1.0])

@@ -37,6 +37,7 @@ from touchdown.experiments.recordings.frames import (
     period_s,
     twin_of,
 )
+from touchdown.experiments.recordings.nav import small_messages
 from touchdown.experiments.recordings.pair_depth import pair_scan, pair_sheet
 from touchdown.experiments.recordings.pictures import Optics, optics_of
 from touchdown.sim.api import (
@@ -98,17 +99,23 @@ class ComposedLog(SensorLogReader):
         self.path = recording.path
         self._recording, self._parts, self._span = recording, parts, span
         peeked = list(itertools.islice(recording.frames(span), _PEEKED))
-        if not peeked:
+        self._nav = recording.nav()
+        if not peeked and self._nav is None:
             raise UsageError(f"'{self.path}' has neither scans nor images")
         imu = recording.imu()
         whole = parts.whole
-        start_ns = min(frame.stamp_ns for frame in peeked) - round(_BEFORE_S * 1e9)
+        start_ns = min((frame.stamp_ns for frame in peeked), default=0) - round(_BEFORE_S * 1e9)
         if parts.moving and moving_ns is not None:
             start_ns = max(start_ns, moving_ns)
         self._grid = (
             even_grid(imu, None if whole else start_ns, whole.tick_hz if whole else None)
             if imu is not None else constant_velocity(recording, span, peeked)
         )  # fmt: skip
+        self._in_g = imu is not None and 0.7 < float(np.linalg.norm(
+            np.median(self._grid.force[:200], axis=0))) < 1.3  # fmt: skip
+        if imu is not None and self._in_g:
+            imu = dataclasses.replace(imu, force=GRAVITY_MPS2 * imu.force)
+            self._grid = dataclasses.replace(self._grid, force=GRAVITY_MPS2 * self._grid.force)
         self._has_imu = imu is not None
         self.clock = self._grid.clock
         self._still = 0 if parts.moving or imu is None else rest_steps(self._grid)
@@ -132,6 +139,9 @@ class ComposedLog(SensorLogReader):
         self.sensed = SensorNeeds(
             camera_hz=camera_hz, stereo=stereo,
             lidar=self._periods["scan"] > 0.0 or self._pair_as_scan,
+            gps=self._nav is not None and len(self._nav.fix_ns) > 0,
+            barometer=self._nav is not None and len(self._nav.pressure_ns) > 0,
+            magnetometer=self._nav is not None and len(self._nav.field_ns) > 0,
         )  # fmt: skip
         self.shared = SensorNeeds()
         self._rotors = recording.rotors() if whole is not None else None
@@ -165,6 +175,8 @@ class ComposedLog(SensorLogReader):
                 notes.append(f"the mean rate at rest, {rate} rad/s, was taken off the gyroscope")
         else:
             notes.append("begins in motion: roll and pitch from the mean force of the first second")
+        if self._in_g:
+            notes.append("the IMU states g, as Livox does: its force was taken times 9.81")
         if self._pair_as_scan:
             notes.append("there is no LIDAR: the depths of the stereo pair stand for its scans")
         if self._grid.resampled:
@@ -224,7 +236,7 @@ class ComposedLog(SensorLogReader):
             body_from_camera=optics.body_from_camera, camera=optics.camera,
             body_from_camera_right=optics.body_from_right,
             lidar=lidar, imu=self._imu_sheet(),
-            world_from_body_start=start, vehicle=_CARRIED, start_tilt_sigma_rad=tilt,
+            nav=parts.nav, world_from_body_start=start, vehicle=_CARRIED, start_tilt_sigma_rad=tilt,
             start_velocity_mps=speed, start_velocity_sigma_mps=0.0 if self._still else sigma,
         )  # fmt: skip
 
@@ -296,6 +308,7 @@ class ComposedLog(SensorLogReader):
         waiting = Waiting(self._recording.frames(self._span), self._time_of)
         latency_s = rig.compute_latency_ticks / rig.tick_hz
         newest = {"scan": 0, "image": 0}
+        small = small_messages(self._nav, clock)
         for k in range(len(grid.gyro)):
             tick = (k + 1) * clock.imu_ticks
             time_s = tick / clock.tick_hz
@@ -330,9 +343,9 @@ class ComposedLog(SensorLogReader):
                 imu=(ImuSample(tick=tick, time_s=time_s, angular_velocity=grid.gyro[k],
                                specific_force=grid.force[k]),),
                 rotor_speed_radps=self._rotor_speeds(k, time_s),
-                battery_fraction=1.0,
+                battery_fraction=1.0, **small(tick),
             )  # fmt: skip
-            if waiting.empty:
+            if waiting.empty and (self._periods["scan"] or self._periods["left"]):
                 return
 
     def _rotor_speeds(self, step: int, time_s: float) -> Array:

@@ -12,7 +12,16 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.sim.api import CameraIntrinsics, ImuSheet, LidarSheet, SensorRig
+from touchdown.sim.api import (
+    BarometerSheet,
+    CameraIntrinsics,
+    GpsSheet,
+    ImuSheet,
+    LidarSheet,
+    MagnetometerParams,
+    NavSheet,
+    SensorRig,
+)
 from touchdown.sim.frames import Pose
 from touchdown.sim.typing import Array, Bytes, Float32
 
@@ -42,6 +51,25 @@ class PoseTable:
     """(N, 3) m"""
     quats_wxyz: Array
     """(N, 4)"""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class NavTable:
+    """What the small sensors measured, each ascending in time."""
+
+    fix_ns: Stamps
+    """(N,)"""
+    fixes: Array
+    """(N, 10) m and m/s: position and velocity, east, north, up, and the standard deviations that
+    the receiver states, three of the position and one of each axis of the velocity"""
+    pressure_ns: Stamps
+    """(M,)"""
+    pressures_pa: Array
+    """(M,)"""
+    field_ns: Stamps
+    """(K,)"""
+    fields_ut: Array
+    """(K, 3) body frame"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -103,6 +131,11 @@ class RigParts:
     lidar_offset_s: float = 0.0
     """as that of a `Lens`"""
     imu: ImuSheet = field(default_factory=ImuSheet)
+    nav: NavSheet = field(default_factory=lambda: NavSheet(
+        gps=GpsSheet(antenna_body_m=(0.0, 0.0, 0.0), latency_ticks=0),
+        barometer=BarometerSheet(latency_ticks=0),
+        magnetometer=MagnetometerParams(latency_ticks=0, declination_deg=0.0),
+    ))  # fmt: skip
     topics: dict[str, str] = field(default_factory=dict)
     """of a bag, by what they hold"""
     moving: bool = False
@@ -156,6 +189,10 @@ class Recording(Protocol):
 
     def truth(self) -> PoseTable | None:
         """Poses of the body; None without."""
+        ...
+
+    def nav(self) -> NavTable | None:
+        """Fixes, pressures and magnetic fields; None without any."""
         ...
 
     def rotors(self) -> RotorTable | None:

@@ -125,9 +125,11 @@ class EurocFolder:
         stamps, values = _told(file, lambda: _rows(file, 7))
         return PoseTable(stamps_ns=stamps, positions=values[:, :3], quats_wxyz=values[:, 3:])
 
-    def rotors(self) -> None:
+    def nav(self) -> None:
         """Not in this format."""
         return
+
+    rotors = nav
 
     def _lists(self) -> list[list[tuple[int, Path]]]:
         return [_told(folder, functools.partial(_listed, folder))
@@ -269,9 +271,11 @@ class KittiFolder:
             quats_wxyz=np.array([quat_wxyz_from_matrix(pose.rotation) for pose in poses]),
         )
 
-    def rotors(self) -> None:
+    def nav(self) -> None:
         """Not in this format."""
         return
+
+    rotors = nav
 
     def begins_ns(self) -> int:
         """The first stamp of a frame."""

@@ -17,8 +17,9 @@ from touchdown.experiments.recordings.contract import (
     RigParts,
     Span,
 )
-from touchdown.experiments.recordings.registration import registered
+from touchdown.experiments.recordings.registration import moved_by_twist, registered
 from touchdown.sim.api import GRAVITY_MPS2
+from touchdown.sim.frames import so3_log
 from touchdown.sim.typing import Array
 
 PAIR_S = 0.005
@@ -109,10 +110,18 @@ def first_velocity(frames: list[RawFrame], parts: RigParts) -> Array | None:
     first, second, *_ = [*(one for one in frames if isinstance(one, RawScan)), None, None]
     if first is None or second is None or parts.body_from_lidar is None:
         return None
+    apart_s = (second.stamp_ns - first.stamp_ns) * 1e-9
     moved = registered(first.points, second.points)
+    for _ in range(2 if first.offsets_s.any() else 0):  # while they turned, sweeps were skewed
+        if moved is None:
+            break
+        twist = np.concatenate([so3_log(moved.rotation), moved.translation]) / apart_s
+        still = [moved_by_twist(one.points.astype(np.float64), one.offsets_s.astype(np.float64),
+                                twist) for one in (first, second)]  # fmt: skip
+        moved = registered(still[0], still[1], moved)
     if moved is None:
         return None
     mount = parts.body_from_lidar
     body = mount @ moved @ mount.inverse()
-    velocity: Array = body.translation / ((second.stamp_ns - first.stamp_ns) * 1e-9)
+    velocity: Array = body.translation / apart_s
     return velocity

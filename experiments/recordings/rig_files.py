@@ -18,7 +18,7 @@ from touchdown.experiments.io.dataclass_json import from_plain
 from touchdown.experiments.io.sensor_log_reader import check_rig
 from touchdown.experiments.io.untrusted import shown
 from touchdown.experiments.recordings.contract import Lens, RigParts
-from touchdown.sim.api import CameraIntrinsics, ImuSheet, LidarSheet, SensorRig
+from touchdown.sim.api import CameraIntrinsics, ImuSheet, LidarSheet, MagnetometerParams, SensorRig
 from touchdown.sim.files.opening import check_file
 from touchdown.sim.frames import Pose
 from touchdown.sim.typing import Array
@@ -164,7 +164,7 @@ def _of_kalibr(tree: Mapping[str, Any]) -> RigParts:
     return dataclasses.replace(parts, camera=lenses[0], right=right, topics=topics)
 
 
-_TABLES = ("topics", "imu", "lidar", "camera", "camera_right")
+_TABLES = ("topics", "imu", "lidar", "camera", "camera_right", "magnetometer")
 _OWN = {"moving": bool, "latency_s": float}
 
 
@@ -188,6 +188,11 @@ def _of_toml(tree: Mapping[str, Any]) -> RigParts:
         said["lidar_offset_s"] = float(numbers(lidar.pop("time_offset_s"), 1, "lidar offset")[0])
     if tables["imu"]:
         said["imu"] = TypeAdapter(ImuSheet).validate_python(tables["imu"])
+    if tables["magnetometer"]:
+        nav = RigParts().nav
+        given = {"latency_ticks": 0, "declination_deg": 0.0} | tables["magnetometer"]
+        field = TypeAdapter(MagnetometerParams).validate_python(given)
+        said["nav"] = dataclasses.replace(nav, magnetometer=field)
     if lidar:
         said["lidar"] = TypeAdapter(LidarSheet).validate_python(lidar)
     for table, name in (("camera", "camera"), ("camera_right", "right")):

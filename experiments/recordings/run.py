@@ -28,15 +28,16 @@ from touchdown.experiments.recordings.clock import poses_of, truth_at_ticks
 from touchdown.experiments.recordings.compose import ComposedLog
 from touchdown.experiments.recordings.contract import PoseTable, Recording, RigParts, Span
 from touchdown.experiments.recordings.folders import EurocFolder, KittiFolder
+from touchdown.experiments.recordings.px4_logs import Px4Log
 from touchdown.experiments.recordings.rig_files import read_rig
 from touchdown.sim.api import Observation, SimParams
 from touchdown.sim.frames import Pose, matrix_from_quat_wxyz
 from touchdown.sim.typing import Array
 
-ALIGNMENTS = ("origin", "se3")
 _ALIGNED = {
     "origin": "the truth is moved so that its first pose is that of the estimate (evo: "
     "--align_origin)",
+    "none": "the truth is as it is",
     "se3": "the truth is moved so that all positions fit best, rigidly (evo: --align)",
 }
 _ROWS_HZ = 50
@@ -73,6 +74,8 @@ def open_recording(path: Path, parts: RigParts) -> Recording:
     UsageError."""
     if not path.exists():
         raise UsageError(f"'{path}' does not exist")
+    if Px4Log.holds(path):
+        return Px4Log(path)
     if RosBag.holds(path):
         return RosBag(path, parts)
     if path.is_dir() and EurocFolder.holds(path):
@@ -80,8 +83,8 @@ def open_recording(path: Path, parts: RigParts) -> Recording:
     if path.is_dir() and KittiFolder.holds(path):
         return KittiFolder(path)
     raise UsageError(
-        f"'{path}' is no recording: no bag (.bag, or a folder with metadata.yaml), no folder of "
-        "EuRoC (mav0/) and none of KITTI odometry (calib.txt, velodyne/)"
+        f"'{path}' is no recording: no bag (.bag, or a folder with metadata.yaml), no log of PX4 "
+        "(.ulg), no folder of EuRoC (mav0/) and none of KITTI odometry (calib.txt, velodyne/)"
     )
 
 
@@ -111,7 +114,9 @@ def open_run(data: Path, options: ReplayOptions) -> RecordedRun:
         pair_as_scan=options.estimator not in _WITHOUT_SCANS,
     )  # fmt: skip
     result = RunResult(outcome="COMPLETED", scene=_name(data), seed=0, estimator=RECORDED)
-    return RecordedRun(data, log, _truth(log, truth), result, 0.0, np.inf, options, log)
+    return RecordedRun(
+        data, log, _truth(log, truth, options.align), result, 0.0, np.inf, options, log
+    )
 
 
 def _name(data: Path) -> str:
@@ -149,13 +154,14 @@ def _tum(file: Path) -> PoseTable:
     return poses_of(np.rint(times * 1e9).astype(np.int64), positions, quats)
 
 
-def _truth(log: ComposedLog, truth: PoseTable | None) -> Mapping[int, Pose]:
-    """True poses by tick, moved so that the first is the start of the rig."""
-    rig = log.rig
+def _truth(log: ComposedLog, truth: PoseTable | None, align: str) -> Mapping[int, Pose]:
+    """True poses by tick, moved so that the first is the start of the rig, unless as they are."""
     if truth is None:
         return {}
     found = truth_at_ticks(truth, log.clock, log.last_tick)
-    moved = rig.world_from_body_start @ found[min(found)].inverse()
+    if align == "none":
+        return found
+    moved = log.rig.world_from_body_start @ found[min(found)].inverse()
     return {tick: moved @ pose for tick, pose in found.items()}
 
 
@@ -230,6 +236,8 @@ def _judged(estimate: Path, truth: Mapping[int, Pose], run: RecordedRun) -> _Jud
     if rows:
         first = min(rows)
         moved = rows[first] @ truth[first].inverse()
+        if run.options.align == "none":
+            moved = Pose.identity()
         if run.options.align == "se3":
             moved = fitted(
                 np.array([truth[tick].translation for tick in rows]),
