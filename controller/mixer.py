@@ -70,8 +70,8 @@ class Mixer:
         if axis := uncontrolled_axis(vehicle):
             raise ValueError(
                 f"the rotors cannot {axis}: their places (rotor_xy_m) and rotor_spin leave that "
-                "axis without control; put rotors on all sides of the centre of mass, and let half "
-                "of them turn each way"
+                "axis without control; put rotors on all sides of the centre of mass, and let "
+                "neighbours turn against one another"
             )
         if lost or len(vehicle.rotor_spin) > 4:
             self._active, self.inverse = _shared(vehicle, lost)

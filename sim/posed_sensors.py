@@ -20,6 +20,7 @@ from touchdown.sim.camera.gl import Snapshot
 from touchdown.sim.camera.sensor import CameraSensor, GroundEffects
 from touchdown.sim.camera.vegetation import Vegetation
 from touchdown.sim.frames import Pose, quat_wxyz_from_matrix, rotation_from_yaw
+from touchdown.sim.lidar.pair import known_pair, merged
 from touchdown.sim.lidar.sensor import LidarSensor
 from touchdown.sim.lidar.surface_detail import SurfaceDetail
 from touchdown.sim.moving import BodyTrack, MovingBodies
@@ -82,6 +83,10 @@ class PosedSensors:
     def _lidar(self) -> LidarSensor:
         return LidarSensor(self._scene, self._params.lidar, self._seed)
 
+    @cached_property
+    def _second_lidar(self) -> LidarSensor:
+        return LidarSensor(self._scene, self._params.lidar, self._seed, number=1)
+
     def hold(self, body: str, world_from_body: Pose) -> None:
         """Places the mocap body ``body``. Raises ValueError where the scene has none."""
         body_id = mujoco.mj_name2id(self._model, mujoco.mjtObj.mjOBJ_BODY, body)
@@ -114,14 +119,14 @@ class PosedSensors:
         held = {
             name: BodyTrack.at_rest(pose, body.times_s[:1]) for name, pose in self._held.items()
         }
-        return self._lidar.scan(
-            start_tick,
-            start_tick + self._params.sim.lidar_scan_ticks,
-            self._params.sim.tick_hz,
-            body,
-            self.mounts.lidar,
-            self._moving.tracks(body.times_s) | held,
-        )
+        end_tick = start_tick + self._params.sim.lidar_scan_ticks
+        when = start_tick, end_tick, self._params.sim.tick_hz, body
+        moving = self._moving.tracks(body.times_s) | held
+        scan, second = self._lidar.scan(*when, self.mounts.lidar, moving), self.mounts.second_lidar
+        if second is None:
+            return scan
+        pair = known_pair(self.mounts.lidar.inverse() @ second, self._params.lidar, self._seed)
+        return merged(scan, self._second_lidar.scan(*when, second, moving), pair)
 
     def scan_times(self, start_tick: int) -> Array:
         """(M,) s: every tick of the scan that begins at ``start_tick``, both ends included."""

@@ -14,11 +14,13 @@ from touchdown.estimator.mapping.kernels import Frame, Lens, Pulses
 from touchdown.scenes.api import Guests
 from touchdown.scenes.compose import load_scene
 from touchdown.sim.airframe.vehicle import sensor_mounts
-from touchdown.sim.api import LidarParams, LidarScan, SensorRig
+from touchdown.sim.api import LidarParams, LidarScan, SensorRig, WorldParams
 from touchdown.sim.frames import Pose, so3_exp
 from touchdown.sim.geometry.lens import distorted
 from touchdown.sim.lidar.pair import known_pair, merged
 from touchdown.sim.lidar.patterns import PATTERNS
+from touchdown.sim.moving import BodyTrack
+from touchdown.sim.posed_sensors import PosedSensors
 from touchdown.sim.typing import Array
 
 from support.livo_flight import make_rig
@@ -151,3 +153,17 @@ def test_the_mapper_colours_through_a_fisheye() -> None:
     )  # fmt: skip
     angle = 0.25 * np.pi
     assert colours[0].tolist() == [round(99.2 + 100.0 * angle * (1.0 - 0.02 * angle**2))] * 3
+
+
+def test_posed_sensors_see_with_both_lidars() -> None:
+    """One ahead and one behind: what both see of level ground lies on it, on either side."""
+    turns = ((0.0, -30.0, 0.0), (0.0, 30.0, 0.0))
+    scene = load_scene("flat", 0, guests=Guests(lidar_turns_deg=turns))
+    sensors = PosedSensors(scene, WorldParams(), 0)
+    pose = Pose(np.eye(3), np.array([0.0, 0.0, 10.0]))
+    scan = sensors.scan(BodyTrack.at_rest(pose, sensors.scan_times(0)), 0)
+    sensors.close()
+    points = pose.apply(sensors.mounts.lidar.apply(scan.points[scan.ranges > 0.0].astype(float)))
+    ahead = points[:, 0] > 2.0
+    assert 0.4 < ahead.mean() < 0.6 and (points[~ahead, 0] < -2.0).all()
+    assert np.median(np.abs(points[:, 2])) < 0.2
