@@ -5,6 +5,7 @@ Loads with numpy alone, so that an external estimator can be written against it.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple, Protocol
@@ -83,6 +84,48 @@ class PoseTrack:
     """(N, 4) odom_from_body"""
 
 
+SWAY: Array = np.array([[0.0, 1.0], [-(1.2**2), -2.0 * 0.15 * 1.2]])
+"""Dynamics (2, 2) of heave or tilt and its rate: an oscillation of 1.2 rad/s, damped by 0.15, as
+that of a small hull in a sea of 7 s"""
+
+
+def swayed(state: Array, ahead_s: float) -> Array:
+    """(2,) heave or tilt and its rate, ``ahead_s`` after ``state`` (2,), as `SWAY` says."""
+    damping, square = -0.5 * SWAY[1, 1], -SWAY[1, 0]
+    rate = math.sqrt(square - damping**2)
+    cosine, sine = math.cos(rate * ahead_s), math.sin(rate * ahead_s) / rate
+    moved = cosine * state + sine * (SWAY @ state + damping * state)
+    return np.asarray(math.exp(-damping * ahead_s) * moved)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class DeckTrack:
+    """A deck that moves, as measured relative to the vehicle: in the odom frame, whose drift it
+    shares."""
+
+    site_odom: Array
+    """(3,) the middle of the deck, on it"""
+    velocity_odom: Array
+    """(3,) m/s of the site"""
+    acceleration_odom: Array
+    """(3,) m/s^2: what heave brings back"""
+    heave: Array
+    """(2,) m and m/s about the mean level"""
+    slopes: Array
+    """(2, 2) slopes along x and y, each with its rate"""
+    seen_s: float
+    """when a scan last measured it"""
+    sigma_m: float
+    """standard deviation of the horizontal place"""
+    sigma_mps: float
+    """and of the horizontal velocity"""
+
+    def ahead(self, ahead_s: float) -> tuple[float, float]:
+        """Speed of the heave, m/s, and tilt, rad, that are expected ``ahead_s`` from now."""
+        slopes = [swayed(one, ahead_s)[0] for one in self.slopes]
+        return float(swayed(self.heave, ahead_s)[1]), math.atan(math.hypot(*slopes))
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Estimate:
     """State estimate at ``time_s``: the time of the newest observation, reached by IMU propagation
@@ -116,6 +159,8 @@ class Estimate:
     events: tuple[str, ...] = ()
     """Messages about the time since the last update: a rejected message and the reason, a sensor
     dropout, a degenerate direction."""
+    deck: DeckTrack | None = None
+    """the deck that is to be landed on; None where none is followed"""
 
     @property
     def world_from_body(self) -> Pose:

@@ -264,6 +264,8 @@ class LandingParams:
     check_site: bool = True
     """refuse a commanded site that is unsuitable by the map; off, it is accepted unchecked, for
     methods whose maps are no better than their positions"""
+    moving_site: bool = False
+    """land on a deck that moves, which scans and images show; set for the scene ``deck``"""
     survey_only: bool = False
     """stop after the survey (the positioning experiment)"""
     return_home: bool = False

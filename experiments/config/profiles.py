@@ -100,14 +100,15 @@ def preset_values(name: str) -> Mapping[str, Any]:
 
 
 def base_values(values: Mapping[str, Any]) -> dict[str, Any]:
-    """The values that the profile, the effects, the preset, the vehicle and the rig of ``values``
-    set. Raises UsageError for a vehicle that cannot fly, and a rig that is none."""
+    """The values that profile, effects, preset, scene, vehicle and rig of ``values`` set. Raises
+    UsageError for a vehicle that cannot fly, and a rig that is none."""
     profile = profile_values(name_in(values))
     lower = {
         **profile,
         **effect_values(values.get(EFFECTS_KEY)),
         **preset_values(preset_in(values)),
     }
+    lower |= scene_values(values)
     lower |= vehicle_values(values, lower)
     return {**lower, **rig_values(values, lower)}
 
@@ -117,9 +118,28 @@ def base_sources(values: Mapping[str, Any]) -> dict[str, str]:
     return {
         **dict.fromkeys(base_values(values), f"profile {name_in(values)}"),
         **dict.fromkeys(preset_values(preset_in(values)), f"preset {preset_in(values)}"),
+        **dict.fromkeys(scene_values(values), "scene deck"),
         **dict.fromkeys(vehicle_values(values, {}), f"vehicle {vehicle_in(values)}"),
         **dict.fromkeys(rig_values(values, {}), f"rig {rig_in(values)}"),
     }
+
+
+_DECK: Mapping[str, Any] = {
+    "landing.moving_site": True,
+    "landing.classifier": "off",
+    "survey.height_m": 26.0,
+    "survey.legs": 1,
+    "survey.leg_length_m": 15.0,
+    "survey.duration_s": 8.0,
+    "referee.divergence_m": 1000.0,
+}
+"""keys of the scene ``deck``: all of a deck is in view where it comes by, and the position may
+drift"""
+
+
+def scene_values(values: Mapping[str, Any]) -> Mapping[str, Any]:
+    """The values that the scene of ``values`` sets over those of profile and preset."""
+    return _DECK if values.get("scene") == "deck" else {}
 
 
 def name_in(values: Mapping[str, Any]) -> str:

@@ -264,7 +264,8 @@ class Referee:
         # Where the truth map lacks what the vehicle stands on, it cannot vouch for anything there.
         known = agrees is not False
         site = view.committed_site_world
-        offset = None if site is None else float(np.linalg.norm(contact_xy - site[:2]))
+        moves = truth.deck is not None  # and has left the site that was committed
+        offset = None if site is None or moves else float(np.linalg.norm(contact_xy - site[:2]))
         figures: dict[str, Any] = self._touchdown.summary() | self._people.summary()
         alone = self._people.now_m is None or self._people.now_m >= PERSON_M
         return Landing(

@@ -127,7 +127,7 @@ def build_flight_stack(config: Config, scene: Scene) -> FlightStack:
     except ValueError:
         world.close()
         raise
-    estimator = _biased(own_estimator, config)
+    estimator = _completed(own_estimator, rig, config)
     own_controller = CascadeController(world.rig.vehicle, config.control)
     if autopilot is not None:
         estimator = Overheard(estimator, autopilot.sense)
@@ -229,12 +229,13 @@ def _mapper(config: Config, rig: SensorRig) -> Mapper:
     from touchdown.estimator.mapping.mapper import GridMapper, NoMap
 
     grid = GridMapper(rig, config.mapper)
-    return grid if config.mapper.enabled else NoMap(grid)
+    used = config.mapper.enabled and not config.landing.moving_site
+    return grid if used else NoMap(grid)
 
 
 def _watch(config: Config, rig: SensorRig) -> Watch | None:
     """The shipped watch; None where it is off or has nothing to do."""
-    if config.landing.watch == "off" or config.landing.survey_only:
+    if config.landing.watch == "off" or config.landing.survey_only or config.landing.moving_site:
         return None
     from touchdown.landing.watch.standard import StandardWatch
 
@@ -265,7 +266,7 @@ def build_estimator(config: Config, rig: SensorRig) -> Estimator:
     def no_truth() -> Truth:
         raise RuntimeError("only the oracle may read the truth")
 
-    return _biased(_estimator(config, rig, no_truth), config)
+    return _completed(_estimator(config, rig, no_truth), rig, config)
 
 
 def estimator_builder(config: Config) -> Callable[[dict[str, Any], SensorRig], Estimator]:
@@ -278,7 +279,12 @@ def estimator_builder(config: Config) -> Callable[[dict[str, Any], SensorRig], E
     return usage_errors(lambda: external_builder(config.estimator))  # type: ignore[no-any-return]
 
 
-def _biased(estimator: Estimator, config: Config) -> Estimator:
+def _completed(estimator: Estimator, rig: SensorRig, config: Config) -> Estimator:
+    """With what follows a deck, and with a bias, where they are asked for."""
+    if config.landing.moving_site:
+        from touchdown.estimator.deck.odometry import DeckOdometry
+
+        estimator = DeckOdometry(estimator, rig)
     return BiasedEstimator(estimator, config.bias) if any(config.bias.xy_m) else estimator
 
 

@@ -38,8 +38,9 @@ class TouchdownDetector:
         self._slow_smoothing = 1.0 - math.exp(-rig.imu_ticks / rig.tick_hz / _CARRIED_S)
         self._since_s: float | None = None
 
-    def update(self, obs: Observation, estimate: Estimate) -> bool:
-        """True from the touchdown on; called once a control step while close to the ground."""
+    def update(self, obs: Observation, estimate: Estimate, ground_mps: float = 0.0) -> bool:
+        """True from the touchdown on; called once a control step while close to the ground, which
+        rises at ``ground_mps``."""
         thrust = self._vehicle.thrust_coefficient * float(np.sum(obs.rotor_speed_radps**2))
         for sample in obs.imu:
             force = self._vehicle.mass_kg * float(self._up_in_imu @ sample.specific_force)
@@ -49,7 +50,7 @@ class TouchdownDetector:
         if self._carried_n > _CARRIED_FRACTION * weight:
             return True
         pressed = self._reaction_n > _REACTION_FRACTION * weight
-        stationary = abs(float(estimate.velocity_odom[2])) < _STATIONARY_MPS
+        stationary = abs(float(estimate.velocity_odom[2]) - ground_mps) < _STATIONARY_MPS
         unloaded = thrust < (1.0 - 0.5 * _REACTION_FRACTION) * weight
         if not (pressed and stationary and unloaded):
             self._since_s = None

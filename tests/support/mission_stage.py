@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from touchdown.controller.api import Setpoint
-from touchdown.estimator.api import GridMap, MapView
+from touchdown.estimator.api import DeckTrack, GridMap, MapView
 from touchdown.landing.api import LandingParams
 from touchdown.landing.mission.mission import Mission
 from touchdown.sim.api import GRAVITY_MPS2
@@ -55,6 +55,7 @@ class Stage:
         self.carried: Callable[[float], float] = lambda legs: 1.0
         self.spread: Callable[[float], float] = lambda legs: 1e-4
         self.healthy, self.load_aloft = True, lambda: 0.0
+        self.deck: Callable[[float], DeckTrack | None] = lambda time_s: None
         self.result: Any = None
         self.feed()
         self.mission.reference_world = self.mission.view.world(self.position)
@@ -75,6 +76,7 @@ class Stage:
         estimate = dataclasses.replace(
             estimate, world_from_odom=self.world_from_odom,
             position_covariance=self.spread(legs) * np.eye(3), healthy=self.healthy,
+            deck=self.deck(self.tick / 600.0),
         )  # fmt: skip
         view: MapView = dataclasses.replace(
             landing_support.view_of(self.coarse, grid), version=version

@@ -1,0 +1,1 @@
+"""A deck that moves, measured relative to the vehicle."""

@@ -1,0 +1,187 @@
+"""A deck as scans and images show it: surfaces, filter, corners, and what finds and loses it."""
+
+import dataclasses
+
+import cv2
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+from touchdown.estimator.api import SWAY, Estimate, swayed
+from touchdown.estimator.deck.features import DeckFeatures
+from touchdown.estimator.deck.filters import DeckFilter
+from touchdown.estimator.deck.odometry import DeckOdometry
+from touchdown.estimator.deck.surfaces import fit_plane, missing_part, surfaces
+from touchdown.sim.api import CameraIntrinsics, LidarScan, Observation, SensorNeeds
+from touchdown.sim.frames import BODY_FROM_DOWNWARD_OPTICAL, Pose
+from touchdown.sim.typing import Array
+
+from support.flight_fakes import make_estimate
+from support.landing_support import make_obs, make_rig
+
+RNG = np.random.default_rng(3)
+SPEED = np.array([2.5, -1.0, 0.0])
+
+
+def plate(size: tuple[float, float], middle: Array, count: int = 6000) -> Array:
+    xy = RNG.uniform(-0.5, 0.5, (count, 2)) * size
+    return np.column_stack([xy, RNG.normal(0.0, 0.02, count)]) + middle
+
+
+def test_a_step_parts_surfaces_and_the_edge_of_view_clips_them() -> None:
+    deck, house = plate((8.0, 5.0), np.zeros(3)), plate((3.0, 5.0), np.array([5.6, 0.0, 2.0]))
+    points = np.concatenate([deck, house])
+    first, second = surfaces(points, points[:, 0] > 6.5)
+    assert first.area_m2 == pytest.approx(40.0, rel=0.2) and not first.clipped
+    assert second.area_m2 == pytest.approx(15.0, rel=0.3) and second.clipped
+    np.testing.assert_allclose(first.cells.mean(axis=0), 0.0, atol=0.1)
+    assert second.height_m == pytest.approx(2.0, abs=0.02)
+
+
+def test_pulses_without_a_return_tell_water() -> None:
+    (found,) = surfaces(plate((8.0, 5.0), np.zeros(3), 3000), np.zeros(3000, bool))
+    aims = plate((8.0, 5.0), np.zeros(3), 1000) - [0.0, 0.0, 20.0]
+    beside = aims + [50.0, 0.0, 0.0]
+    lost = np.concatenate([aims, beside])
+    lost /= np.linalg.norm(lost, axis=1, keepdims=True)
+    assert missing_part(found, np.array([0.0, 0.0, 20.0]), lost) == pytest.approx(0.25, abs=0.03)
+
+
+def test_a_plane_is_fitted_beside_what_stands_on_it() -> None:
+    points = plate((6.0, 4.0), np.array([10.0, 3.0, 0.0]))
+    points[:, 2] += 1.0 + points[:, :2] @ [0.1, -0.05]
+    points[:400, 2] += 0.4
+    plane = fit_plane(points, np.array([10.0, 3.0]))
+    assert plane.height == pytest.approx(1.85, abs=0.01)
+    np.testing.assert_allclose(plane.slopes, [0.1, -0.05], atol=0.005)
+    assert plane.slope_sigma < 0.015
+
+
+def test_an_oscillation_is_that_of_its_dynamics() -> None:
+    for ahead in (0.0, 0.3, 2.0):
+        expected = expm(SWAY * ahead) @ [0.4, -0.2]
+        np.testing.assert_allclose(swayed(np.array([0.4, -0.2]), ahead), expected, atol=1e-12)
+
+
+def site_at(time_s: float) -> Array:
+    return np.array([5.0, 2.0, 1.0 + 0.3 * np.sin(1.0 * time_s)]) + time_s * SPEED
+
+
+def test_the_filter_finds_course_heave_and_tilt() -> None:
+    deck = DeckFilter(0.0, site_at(0.0), np.zeros(2))
+    for time_s in np.arange(0.1, 20.0, 0.1):
+        noisy = site_at(time_s) + RNG.normal(0.0, 0.02, 3)
+        deck.see_height(time_s, noisy[2])
+        deck.see_slopes(time_s, np.array([0.05 * np.sin(time_s), 0.0]), 0.01)
+        late = time_s - 0.04
+        deck.see_place(late, site_at(late)[:2] + RNG.normal(0.0, 0.02, 2), 0.02)
+    track = deck.track(time_s + 0.1)
+    np.testing.assert_allclose(track.site_odom, site_at(time_s + 0.1), atol=0.06)
+    assert np.linalg.norm(track.velocity_odom[:2] - SPEED[:2]) < 0.2
+    rate = 0.3 * np.cos(time_s + 0.1)
+    assert track.velocity_odom[2] == pytest.approx(rate, abs=0.08)
+    assert track.slopes[0, 0] == pytest.approx(0.05 * np.sin(time_s + 0.1), abs=0.01)
+    heave, tilt = track.ahead(0.5)
+    assert heave == pytest.approx(0.3 * np.cos(time_s + 0.6), abs=0.12) and tilt < 0.08
+    assert track.seen_s == pytest.approx(time_s)
+    deck.see_height(time_s + 0.2, 9.0)  # that is not the deck
+    assert deck.seen_s == pytest.approx(time_s)
+
+
+CAMERA = CameraIntrinsics(width=424, height=240, fx=300.0, fy=300.0, cx=211.5, cy=119.5)
+PX_PER_M = 40.0
+PICTURE = cv2.GaussianBlur(RNG.uniform(0, 255, (480, 640)).astype(np.uint8), (0, 0), 3)
+PICTURE = cv2.normalize(PICTURE, None, 0, 255, cv2.NORM_MINMAX)
+
+
+def drawn(camera: Pose, site: Array) -> Array:
+    """The image of a level deck with `PICTURE` on it, its middle at ``site``."""
+    k = CAMERA.matrix()
+    view = camera.inverse()
+    x, y = (view.rotation[:, axis] / PX_PER_M for axis in (0, 1))
+    corner = view.apply(site - [0.5 * 640 / PX_PER_M, 0.5 * 480 / PX_PER_M, 0.0])
+    return cv2.warpPerspective(PICTURE, k @ np.column_stack([x, y, corner]), (424, 240))
+
+
+def test_corners_follow_a_deck_that_scans_no_longer_place() -> None:
+    cells = np.stack(np.meshgrid(np.arange(-7, 7, 0.4), np.arange(-5, 5, 0.4)), -1).reshape(-1, 2)
+    features, height = DeckFeatures(CAMERA, cells), 6.0
+    deck = DeckFilter(0.0, site_at(0.0), np.zeros(2))
+    for step in range(30):
+        time_s = 0.1 * step
+        site = site_at(time_s)
+        vehicle = np.array([*site[:2], 0.0]) + [0.3 * np.sin(time_s), 0.2, 1.0 + height]
+        camera = Pose(BODY_FROM_DOWNWARD_OPTICAL, vehicle)
+        deck.see_height(time_s, site[2])
+        agreed = features.update(drawn(camera, site), camera, deck, time_s)
+    assert agreed > 20
+    place, _ = deck.surface(time_s)
+    np.testing.assert_allclose(place[:2], site[:2], atol=0.08)
+    np.testing.assert_allclose(deck.velocity[:2], SPEED[:2], atol=0.15)
+
+
+class Still:
+    """An estimator of a vehicle that hovers; keeps what it is told."""
+
+    needs = SensorNeeds()
+
+    def __init__(self) -> None:
+        self.told: list[Observation] = []
+
+    def update(self, obs: Observation) -> Estimate:
+        self.told.append(obs)
+        return make_estimate(obs.time_s, np.array([0.0, 0.0, 25.0]))
+
+
+def scan_of(tick: int, rig_pose: Pose, decks: list[tuple[Array, tuple[float, float]]]) -> LidarScan:
+    """Of a hovering vehicle over nothing but level plates, (middle, size) each, at their places of
+    the end of the scan."""
+    angles = RNG.uniform(-1.0, 1.0, (12_000, 2)) * [0.7, 0.22]
+    directions = np.column_stack([np.tan(angles), np.ones(12_000)])
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    beams, ranges = directions @ rig_pose.rotation.T, np.zeros(12_000)
+    for middle, size in decks:
+        way = (middle[2] - rig_pose.translation[2]) / beams[:, 2]
+        met = rig_pose.translation + way[:, None] * beams
+        on = (np.abs(met[:, :2] - middle[:2]) < 0.5 * np.array(size)).all(axis=1)
+        nearer = on & ((ranges == 0.0) | (way < ranges))
+        ranges[nearer] = way[nearer]
+    return LidarScan(
+        start_tick=tick - 60, end_tick=tick, start_time_s=(tick - 60) / 600.0,
+        end_time_s=tick / 600.0, directions=directions.astype(np.float32),
+        ranges=ranges.astype(np.float32),
+        time_offsets=np.full(12_000, 0.1, np.float32), intensity=np.full(12_000, 30, np.uint8),
+    )  # fmt: skip
+
+
+def test_the_deck_is_the_largest_surface_once_all_of_it_is_in_view() -> None:
+    """A bow comes first; the odometry gets no scan from then on until the deck is gone."""
+    rig, inner = make_rig(), Still()
+    rig = dataclasses.replace(
+        rig, world_from_body_start=Pose(np.eye(3), np.array([30.0, 30.0, 0.0]))
+    )
+    odometry = DeckOdometry(inner, rig)
+    lidar = Pose(np.eye(3), np.array([0.0, 0.0, 25.0])) @ rig.body_from_lidar
+    found_s, seen = None, []
+    for tick in range(3, 600 * 14, 3):
+        time_s = tick / 600.0
+        middle = np.array([0.0, -28.0 + 3.0 * time_s, 1.0])
+        bow = middle + [0.0, 7.0, 0.8]
+        scans = ()
+        if tick % 60 == 0:
+            gone = time_s > 10.5
+            plates = [] if gone else [(middle, (5.0, 8.0)), (bow, (4.5, 5.0))]
+            scans = (scan_of(tick, lidar, plates),)
+        estimate = odometry.update(make_obs(tick, scans=scans))
+        if estimate.deck is not None and found_s is None:
+            found_s = time_s
+            assert estimate.deck.site_odom == pytest.approx(middle, abs=0.3)
+        seen.append((time_s, estimate.deck, len(inner.told[-1].scans), middle))
+    assert found_s is not None and 3.5 < found_s < 7.0
+    at_ten = next(one for one in seen if one[0] >= 10.0)
+    assert at_ten[1] is not None
+    np.testing.assert_allclose(at_ten[1].site_odom, at_ten[3], atol=0.15)
+    np.testing.assert_allclose(at_ten[1].velocity_odom, [0.0, 3.0, 0.0], atol=0.2)
+    told = [time_s for time_s, _, scans, _ in seen if scans]
+    assert not [time_s for time_s in told if found_s < time_s < 12.0] and told[-1] > 13.0
+    assert seen[-1][1] is None
