@@ -106,6 +106,7 @@ def low_sun(config: Config) -> LowSun | None:
 def build_flight_stack(config: Config, scene: Scene) -> FlightStack:
     """Builds all parts of a flight. Only the oracle gets the truth."""
     from touchdown.controller.cascade import CascadeController
+    from touchdown.landing.deck.lander import DeckLander
     from touchdown.landing.mission.lander import SiteLander
 
     network = build_classifier(config)
@@ -134,9 +135,13 @@ def build_flight_stack(config: Config, scene: Scene) -> FlightStack:
     elif controller is None:
         estimator = Overheard(estimator, lambda obs: own_controller.hear(obs.rotor_speed_radps))
     mapper = own_mapper or _mapper(config, rig)
-    lander: Lander = own_lander or SiteLander(
-        rig, config.landing, config.survey, classifier, select, watch
-    )
+    lander: Lander
+    if own_lander is None and config.landing.moving_site:
+        lander = DeckLander(rig, config.landing, config.survey)
+    else:
+        lander = own_lander or SiteLander(
+            rig, config.landing, config.survey, classifier, select, watch
+        )
     if config.survey.trajectory:
         from touchdown.experiments.flight.carried import Passenger
 

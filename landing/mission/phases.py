@@ -10,7 +10,6 @@ from touchdown.controller.api import Setpoint
 from touchdown.landing.api import Phase
 from touchdown.landing.mission.blind_descent import blind_descent
 from touchdown.landing.mission.choice import choose_commanded, choose_sites, decided
-from touchdown.landing.mission.deck import land_on_deck
 from touchdown.landing.mission.descent import descend_to, watched_descent
 from touchdown.landing.mission.mission import (
     LegBlockedError,
@@ -45,11 +44,7 @@ def run_phases(mission: Mission) -> Steps:
     yield from initialise(mission)
     try:
         no_go = yield from take_off(mission)
-        if no_go is None and mission.params.moving_site:
-            if not (yield from land_on_deck(mission)):
-                mission.state.follow_rule("no_deck", "no deck has come by", "no_site")
-                yield from return_home(mission)
-        elif no_go is None:
+        if no_go is None:
             yield from survey_and_land(mission)
         else:
             yield from land_at_home(mission)

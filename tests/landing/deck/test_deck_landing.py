@@ -6,7 +6,7 @@ import numpy as np
 
 from touchdown.estimator.api import DeckTrack
 from touchdown.landing.api import Phase
-from touchdown.landing.mission.deck import land_on_deck
+from touchdown.landing.deck.lander import land_on_deck
 from touchdown.sim.typing import Array
 
 from support.landing_support import LEG_HEIGHT

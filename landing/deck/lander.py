@@ -13,10 +13,20 @@ import numpy as np
 
 from touchdown.controller.api import Setpoint
 from touchdown.estimator.api import DeckTrack
-from touchdown.landing.api import Phase
-from touchdown.landing.mission.mission import Mission, Steps
+from touchdown.landing.api import LandingParams, Phase, SurveyParams
+from touchdown.landing.mission.blind_descent import blind_descent
+from touchdown.landing.mission.lander import SiteLander
+from touchdown.landing.mission.mission import LegBlockedError, Mission, Steps
+from touchdown.landing.mission.phases import (
+    initialise,
+    land_at_home,
+    rest,
+    return_home,
+    take_off,
+)
 from touchdown.landing.mission.touchdown import TouchdownDetector
 from touchdown.landing.mission.trajectory import straight_trajectory
+from touchdown.sim.api import SensorRig
 from touchdown.sim.typing import Array
 
 _WAIT_S = 90.0
@@ -42,6 +52,28 @@ _LOST_S, _BLIND_M = 1.0, 0.7
 the deck"""
 _CONTACT_M = 0.4
 _RAMP_S, _STOPPED_S = 0.4, 1.0
+
+
+class DeckLander(SiteLander):
+    """Takes off, waits for a deck, follows it and lands on it; returns home where none comes."""
+
+    def __init__(self, rig: SensorRig, params: LandingParams, survey: SurveyParams) -> None:
+        super().__init__(rig, params, survey)
+        self._steps = _run(self._mission)
+
+
+def _run(mission: Mission) -> Steps:
+    yield from initialise(mission)
+    try:
+        no_go = yield from take_off(mission)
+        if no_go is not None:
+            yield from land_at_home(mission)
+        elif not (yield from land_on_deck(mission)):
+            mission.state.follow_rule("no_deck", "no deck has come by", "no_site")
+            yield from return_home(mission)
+    except LegBlockedError:
+        yield from blind_descent(mission)
+    yield from rest(mission)
 
 
 def land_on_deck(mission: Mission) -> Generator[Setpoint, None, bool]:
