@@ -106,6 +106,9 @@ class WindParams:
     """add the rotational gusts of the Dryden model, which turn the vehicle"""
     wakes: bool = False
     """slow the wind and make it more turbulent behind buildings and trees"""
+    short_waves: bool = False
+    """turbulence of the same strength with the short waves that Dryden's forms lack: its energy
+    falls with the power 5/3 of the frequency, not with its square"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -11,6 +11,10 @@ Turbulence after MIL-F-8785C, section 3.7.2 and 3.7.3.4, below 1000 ft. With h t
 u is along the mean wind, v to its left, w up. The filters run on states of unit variance, so that
 height and airspeed may change from step to step, and are discretised exactly for the step's length.
 
+With ``short_waves`` each of u, v, w is a sum of five first-order lags instead, of scales L, L / 3,
+... L / 81, each with 3^(2/3) times the variance of the next (Kolmogorov's cascade); together they
+have sigma^2. Scales and their number come nearest to Kaimal's spectrum at 30 m.
+
 Rotational gusts after section 3.7.3.2 of the same, with b the span: a rotation of the air about the
 vehicle, whose rolling share has a noise of its own, and whose others follow w and v,
 
@@ -37,6 +41,7 @@ MIN_AIRSPEED_MPS = 1.0
 """Airspeed below which V / L no longer describes how fast turbulence passes the vehicle."""
 
 _SQRT3 = np.sqrt(3.0)
+_SCALES, _STEP = 5, 3.0
 
 
 class Wind:
@@ -58,6 +63,11 @@ class Wind:
         self._noise = np.empty(5)
         self._state = _stationary_state(self._rng.standard_normal(5))
         self._velocity = np.zeros(3)
+        self._gust = np.zeros(3)
+        self._cascade: Array | None = None
+        if params.short_waves and self._turbulent:
+            self._cascade_rng = np.random.default_rng([seed, crc32(b"wind.short_waves")])
+            self._cascade = self._cascade_rng.standard_normal((3, _SCALES))
         self._span = span_m
         self.rotational = params.rotational and self._turbulent
         if self.rotational:
@@ -86,18 +96,16 @@ class Wind:
         if not self._turbulent:
             np.multiply(self.mean_direction, along, out=self._velocity)
             return self._velocity
-        self._rng.standard_normal(out=self._noise)
-        _advance(
-            self._state,
-            self._noise,
-            dt_s,
-            height_m / FOOT_M,
-            max(airspeed_mps, MIN_AIRSPEED_MPS),
-            self._w20,
-            along,
-            self.mean_direction,
-            self._velocity,
-        )
+        place = dt_s, height_m / FOOT_M, max(airspeed_mps, MIN_AIRSPEED_MPS), self._w20
+        if self._cascade is None:
+            self._rng.standard_normal(out=self._noise)
+            _advance(self._state, self._noise, *place, self._gust)
+        else:
+            noise = self._cascade_rng.standard_normal((3, _SCALES))
+            _advance_cascade(self._cascade, noise, *place, self._gust)
+        u, v = along + self._gust[0], self._gust[1]
+        east, north = self.mean_direction[:2]
+        self._velocity[:] = u * east - v * north, u * north + v * east, self._gust[2]
         return self._velocity
 
     def rotation(self, dt_s: float, height_m: float, airspeed_mps: float) -> Array:
@@ -105,7 +113,7 @@ class Wind:
         the next call); called once after each ``step``, where ``rotational`` is true."""
         _advance_rotation(
             self._rotation_state,
-            self._state,
+            self._gust,
             float(self._rotation_rng.standard_normal()),
             dt_s,
             height_m / FOOT_M,
@@ -146,21 +154,43 @@ def _advance(
     height_ft: float,
     airspeed: float,
     w20: float,
-    mean_speed: float,
-    direction: Array,
-    velocity: Array,
+    gust: Array,
 ) -> None:
+    """Fills ``gust`` (3,): u, v, w in m/s."""
     sigma_uv, sigma_w, scale_uv, scale_w = dryden_scales(height_ft, w20)
     steps_uv = dt * airspeed / scale_uv
     steps_w = dt * airspeed / scale_w
     state[0] = np.exp(-steps_uv) * state[0] + np.sqrt(-np.expm1(-2.0 * steps_uv)) * noise[0]
     _advance_pair(state[1:3], noise[1:3], steps_uv)
     _advance_pair(state[3:5], noise[3:5], steps_w)
-    u = mean_speed + sigma_uv * state[0]
-    v = sigma_uv * (_SQRT3 * state[1] + (1.0 - _SQRT3) * state[2])
-    velocity[0] = u * direction[0] - v * direction[1]
-    velocity[1] = u * direction[1] + v * direction[0]
-    velocity[2] = sigma_w * (_SQRT3 * state[3] + (1.0 - _SQRT3) * state[4])
+    gust[0] = sigma_uv * state[0]
+    gust[1] = sigma_uv * (_SQRT3 * state[1] + (1.0 - _SQRT3) * state[2])
+    gust[2] = sigma_w * (_SQRT3 * state[3] + (1.0 - _SQRT3) * state[4])
+
+
+@njit(cache=True, error_model="numpy")
+def _advance_cascade(
+    state: Array,
+    noise: Array,
+    dt: float,
+    height_ft: float,
+    airspeed: float,
+    w20: float,
+    gust: Array,
+) -> None:
+    """As `_advance`, of ``state`` (3, `_SCALES`) of unit variance."""
+    sigma_uv, sigma_w, scale_uv, scale_w = dryden_scales(height_ft, w20)
+    for axis in range(3):
+        sigma, scale = (sigma_w, scale_w) if axis == 2 else (sigma_uv, scale_uv)
+        share, steps, total, gust[axis] = 1.0, dt * airspeed / scale, 0.0, 0.0
+        for k in range(_SCALES):
+            keep = np.exp(-steps)
+            fresh = np.sqrt(-np.expm1(-2.0 * steps)) * noise[axis, k]
+            state[axis, k] = keep * state[axis, k] + fresh
+            gust[axis] += np.sqrt(share) * state[axis, k]
+            total += share
+            share, steps = share * _STEP ** (-2.0 / 3.0), steps * _STEP
+        gust[axis] *= sigma / np.sqrt(total)
 
 
 @njit(cache=True, error_model="numpy")
@@ -175,7 +205,7 @@ def rolling_gust_sigma(sigma_w: float, scale_w: float, span: float) -> float:
 @njit(cache=True, error_model="numpy")
 def _advance_rotation(
     state: Array,
-    turbulence: Array,
+    gust: Array,
     noise: float,
     dt: float,
     height_ft: float,
@@ -186,9 +216,8 @@ def _advance_rotation(
     rates: Array,
 ) -> None:
     """``state``: p of unit variance, and w and v behind the filters' lags."""
-    sigma_uv, sigma_w, _, scale_w = dryden_scales(height_ft, w20)
-    w = sigma_w * (_SQRT3 * turbulence[3] + (1.0 - _SQRT3) * turbulence[4])
-    v = sigma_uv * (_SQRT3 * turbulence[1] + (1.0 - _SQRT3) * turbulence[2])
+    _, sigma_w, _, scale_w = dryden_scales(height_ft, w20)
+    v, w = gust[1], gust[2]
     corner_q, corner_r = np.pi / (4.0 * span), np.pi / (3.0 * span)
     decay = np.exp(-dt * airspeed * corner_q)
     state[0] = decay * state[0] + np.sqrt(1.0 - decay * decay) * noise

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 from touchdown.experiments.gap import motion, world
 from touchdown.experiments.gap.card import Row
 
@@ -16,13 +18,13 @@ ROWS = (
         source="two of these flights, straight lines, four IMUs each", tuned=False,
         changed="nothing", measure=motion.turning,
         explained="our surveys are smoother between 1 and 7 Hz: the autopilot is another, and our "
-        "gusts lack this part (see gusts)",
+        "gusts lack this part (see there)",
     ),
     Row(
         name="acceleration of the vehicle", x="Hz", y="log10 of rms, m/s²",
         source="the same two flights", tuned=False, changed="nothing", measure=motion.pushing,
         explained="our surveys are smoother between 1 and 4 Hz, where our gusts lack energy (see "
-        "gusts) and the autopilot is another; the rise beyond 4 Hz is vibration",
+        "there) and the autopilot is another; the rise beyond 4 Hz is vibration",
     ),
     Row(
         name="IMU at rest", x="s, averaging time", y="log10 of the Allan deviation, rad/s and m/s²",
@@ -62,10 +64,17 @@ ROWS = (
         "intensities from the air was at hand",
     ),
     Row(
-        name="gusts", x="reduced frequency", y="log10 of f S(f) / u*²",
+        name="gusts of `field`", x="reduced frequency", y="log10 of f S(f) / u*²",
         source="Kaimal's spectrum (1972) over the neutral surface layer", tuned=False,
         changed="nothing", bound=0.3, measure=world.gusts,
         explained="Dryden's forms (MIL-F-8785C) fall with the square of the frequency, air with "
         "its power 5/3: at wavelengths of 15 m our gusts have a tenth of the energy",
     ),
+    Row(
+        name="gusts of `harsh`", x="reduced frequency", y="log10 of f S(f) / u*²",
+        source="the same spectrum", tuned=True, changed="`wind.short_waves`", bound=0.3,
+        measure=partial(world.gusts, short_waves=True),
+    ),
 )  # fmt: skip
+WITHOUT_DATA = ("gusts of `field`", "gusts of `harsh`")
+"""names of rows that a formula stands in for recordings of"""

@@ -179,14 +179,14 @@ def patterns(data: Path) -> Curves | None:
     return Curves(np.tile(_SEEN_S, 3), np.concatenate(both[0])[None], np.concatenate(both[1])[None])
 
 
-def gusts(_data: Path) -> Curves | None:
+def gusts(_data: Path, *, short_waves: bool = False) -> Curves | None:
     """log10 of f S(f) / u*^2 of the wind along its mean, over the reduced frequency f z / U; the
     other is Kaimal's neutral spectrum (Q. J. R. Meteorol. Soc. 98, 1972)."""
     from scipy.signal import welch
 
     simulated = []
     for seed in range(4):
-        wind = Wind(WindParams(), seed)
+        wind = Wind(WindParams(short_waves=short_waves), seed)
         speed = wind.mean_speed(_WIND_M)
         count = round(_WIND_S / _WIND_STEP_S)
         along = np.array([

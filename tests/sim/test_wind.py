@@ -126,6 +126,24 @@ def test_spectrum_is_drydens() -> None:
             assert ratio == pytest.approx(1.0, abs=tolerance), (axis, low)
 
 
+def test_short_waves_have_kaimals_spectrum_and_drydens_strength() -> None:
+    """Within a factor of 1.6 from 1500 m to 15 m; Dryden's has a tenth at the short end."""
+    dt, count, height = 0.1, 120_000, 30.0
+    params = WindParams(mean_kmh=12.0, direction_deg=0.0, short_waves=True)
+    wind = Wind(params, 5)
+    speed = wind.mean_speed(height)
+    series = np.array([wind.step(dt, height, speed).copy() for _ in range(count)])
+    sigma_uv, sigma_w, *_ = dryden_scales(height / 0.3048, 12.0 / 3.6)
+    assert series.std(axis=0) == pytest.approx([sigma_uv, sigma_uv, sigma_w], rel=0.1)
+    frequency, density = signal.welch(series[:, 0], 1.0 / dt, nperseg=8192)
+    reduced = np.geomspace(0.02, 2.0, 8)
+    at = reduced * speed / height
+    found = at * np.interp(at, frequency, density) / (0.4 * wind.friction) ** 2
+    kaimal = 105.0 * reduced / (1.0 + 33.0 * reduced) ** (5.0 / 3.0)
+    assert np.abs(np.log10(found / kaimal)).max() < 0.35
+    assert np.sqrt(np.mean(np.log10(found / kaimal) ** 2)) < 0.2
+
+
 def _rotations(dt_s: float, count: int, *, span_m: float = 1.0, seed: int = 2) -> Array:
     """(count, 3) rates p, q, r of the air, in a wind to the east: about its axes."""
     params = WindParams(mean_kmh=36.0, direction_deg=0.0, rotational=True)
