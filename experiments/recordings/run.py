@@ -28,6 +28,7 @@ from touchdown.experiments.recordings.clock import poses_of, truth_at_ticks
 from touchdown.experiments.recordings.compose import ComposedLog
 from touchdown.experiments.recordings.contract import PoseTable, Recording, RigParts, Span
 from touchdown.experiments.recordings.folders import EurocFolder, KittiFolder
+from touchdown.experiments.recordings.landing_site import LandingSite
 from touchdown.experiments.recordings.px4_logs import Px4Log
 from touchdown.experiments.recordings.rig_files import read_rig
 from touchdown.sim.api import Observation, SimParams
@@ -94,7 +95,10 @@ def replay_recording(
     """Replays the recording ``data``; with ``out_dir``, writes a run directory. The events of the
     result begin with what was done to the data. Raises UsageError, one line."""
     run = open_run(data, options)
-    return replay(run, _config(data, options, run.log), out_dir, progress)
+    config = _config(data, options, run.log)
+    if out_dir is not None and run.log.sensed.lidar and config.estimator not in _WITHOUT_SCANS:
+        run.maps.append(LandingSite(run.log.rig, config.mapper, config.landing))
+    return replay(run, config, out_dir, progress)
 
 
 def open_run(data: Path, options: ReplayOptions) -> RecordedRun:
@@ -172,6 +176,7 @@ class RecordedRun(LoggedRun):
     options: ReplayOptions
     log: ComposedLog
     written: list[SensorLog] = dataclasses.field(default_factory=list)
+    maps: list[LandingSite] = dataclasses.field(default_factory=list)
 
     @property
     def ticks(self) -> Container[int]:
@@ -187,17 +192,19 @@ class RecordedRun(LoggedRun):
             self.written.append(SensorLog(folder / SENSORS_FILE, rig, sensed))
 
     def passed(self, obs: Observation, estimate: Estimate) -> None:
-        """Adds the observation to the sensor log."""
+        """Adds the observation to the sensor log and to the map."""
         for log in self.written:
             log.add(obs)
+        for site in self.maps:
+            site.take(obs, estimate)
 
     def finish(self, folder: Path, result: RunResult) -> RunResult:
         """Writes the truth, judges again where it is aligned over all positions, and says in the
         result what was done."""
         while self.written:
             self.written.pop().close()
-        truth = dict(self.truth)
-        notes = self.log.notes()
+        truth, notes = dict(self.truth), self.log.notes()
+        notes += [site.write(folder) for site in self.maps]
         more: dict[str, Any] = {"profile": None, "wind_kmh": None}
         if truth:
             notes.append(_ALIGNED[self.options.align])

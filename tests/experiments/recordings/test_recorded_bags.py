@@ -81,6 +81,9 @@ def test_a_bag_of_livox_is_replayed(flown: Path, livox: Path, rig: Path, tmp_pat
     asked = ReplayOptions(estimator="livo", rig=rig, overrides=IDEAL)
     result = replay_recording(livox, tmp_path / "run", asked)
     assert result.position_error_m is not None and result.position_error_m.mean < 0.02
+    names = {one.name for one in (tmp_path / "run").iterdir()}
+    assert {"map.ply", "costmap.png"} <= names  # the ground is rolling, and the map is small
+    assert any("no ground on the map is safe" in event.text for event in result.events)
     recording = RosBag(livox, RigParts())
     frames = list(recording.frames())
     log = SensorLogReader(flown / "sensors.mcap")
