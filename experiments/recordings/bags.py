@@ -39,6 +39,7 @@ if TYPE_CHECKING:
 RIG_KEY = "rig"
 """key of a bag's own data under which our exports keep the rig"""
 _LIVOX = ("livox_ros_driver/msg/CustomMsg", "livox_ros_driver2/msg/CustomMsg")
+_PARTS = (".mcap", ".db3")
 _IMAGES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 _TYPES = {
     "imu": ("sensor_msgs/msg/Imu",),
@@ -67,8 +68,9 @@ class RosBag:
     transforms above the IMU, or the IMU."""
 
     def __init__(self, path: Path, given: RigParts) -> None:
-        """``given``: what a rig file says; its ``topics`` choose where a bag has several."""
-        self.path = path
+        """``path``: also a file of the folder. ``given``: what a rig file says; its ``topics``
+        choose where a bag has several."""
+        self.path = path.parent if path.suffix in _PARTS else path
         with self._opened() as reader:
             by_topic = {one.topic: one.msgtype for one in reader.connections}
             self._topics = self._chosen(by_topic, given.topics)
@@ -80,7 +82,8 @@ class RosBag:
     @staticmethod
     def holds(path: Path) -> bool:
         """True if ``path`` looks like one."""
-        return path.suffix == ".bag" or (path / "metadata.yaml").is_file()
+        folder = path.parent if path.suffix in _PARTS else path
+        return path.suffix == ".bag" or (folder / "metadata.yaml").is_file()
 
     @contextmanager
     def _opened(self) -> Iterator[AnyReader]:

@@ -47,6 +47,8 @@ _WITHOUT_SCANS = ("gps", "optical_flow", "hybrid_flow", "stereo")
 """estimators that no scan reaches"""
 _SEES = ("livo", "zou2024", "optical_flow", "hybrid_flow", "stereo_vo")
 """tables of the configuration with a rate of images"""
+_CLOCK = "calibration_clock_ms"
+"""diagnostic of an estimator"""
 RECORDED = "recorded"
 """stands for the estimator that flew"""
 
@@ -177,6 +179,8 @@ class RecordedRun(LoggedRun):
     log: ComposedLog
     written: list[SensorLog] = dataclasses.field(default_factory=list)
     maps: list[LandingSite] = dataclasses.field(default_factory=list)
+    found: dict[str, float] = dataclasses.field(default_factory=dict)
+    """the calibration that the estimator has found so far"""
 
     @property
     def ticks(self) -> Container[int]:
@@ -193,6 +197,8 @@ class RecordedRun(LoggedRun):
 
     def passed(self, obs: Observation, estimate: Estimate) -> None:
         """Adds the observation to the sensor log and to the map."""
+        if _CLOCK in estimate.diagnostics:
+            self.found[_CLOCK] = estimate.diagnostics[_CLOCK]
         for log in self.written:
             log.add(obs)
         for site in self.maps:
@@ -205,6 +211,11 @@ class RecordedRun(LoggedRun):
             self.written.pop().close()
         truth, notes = dict(self.truth), self.log.notes()
         notes += [site.write(folder) for site in self.maps]
+        if (ahead := self.found.get(_CLOCK)) is not None:
+            notes.append(
+                f"the estimator ends with the camera's clock {ahead:.2f} ms ahead of the IMU's: "
+                f"time_offset_s = {-1e-3 * ahead:.5f} in --rig would hold that"
+            )
         more: dict[str, Any] = {"profile": None, "wind_kmh": None}
         if truth:
             notes.append(_ALIGNED[self.options.align])

@@ -113,7 +113,9 @@ def test_a_bag_without_our_rig_has_that_of_its_frames(
             compress_mode="storage", default_typestore=None, typestore=None,
             exclude_topics=["/rotors"], include_topics=[], exclude_msgtypes=[],
             include_msgtypes=[])  # fmt: skip
-    recording = RosBag(plain, RigParts())
+    (part,) = plain.glob("*.db3")
+    recording = RosBag(part, RigParts())
+    assert RosBag.holds(part) and RosBag.holds(plain) and not RosBag.holds(flown)
     log, found = SensorLogReader(flown / "sensors.mcap").rig, recording.found
     assert found.whole is None and found.camera is not None and found.right is not None
     assert found.camera.intrinsics.fx == log.camera.fx

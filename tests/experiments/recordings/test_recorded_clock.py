@@ -42,6 +42,7 @@ def test_even_samples_stay_as_they_are() -> None:
     assert (grid.clock.tick_hz, grid.clock.imu_ticks) == (600, 3) and not grid.resampled
     np.testing.assert_array_equal(grid.gyro, gyro)
     assert grid.clock.seconds(int(EPOCH)) == grid.clock.step_s == 1 / 200  # before the first sample
+    assert grid.clock.seconds(grid.clock.start_ns + 1_666_667) == 1 / 600  # a tick in nanoseconds
 
 
 def test_other_samples_become_means_on_a_grid() -> None:

@@ -1,5 +1,6 @@
 """Folders of EuRoC and KITTI: those of our exports, damaged ones, and real ones where they are."""
 
+import re
 import shutil
 from pathlib import Path
 
@@ -51,6 +52,7 @@ def test_an_exported_flight_of_euroc_is_replayed(euroc: Path, tmp_path: Path) ->
     result = replay_recording(euroc, tmp_path / "run", asked)
     assert result.position_error_m is not None and result.position_error_m.mean < 0.05
     assert "at rest" in _said(result) and "--align_origin" in _said(result)
+    assert re.search(r"camera's clock -?\d+\.\d+ ms ahead", _said(result))
     assert result.replay_of == str(euroc) and result.scene == "euroc" and result.wind_kmh is None
     again = tmp_path / "again"
     from touchdown.experiments.flight.replay import replay, replay_config
@@ -160,8 +162,6 @@ def test_a_damaged_folder_is_one_line(
     break_it(broken)  # type: ignore[operator]
     out = tmp_path / "out"
     found = says(2, "replay", str(broken), "--out", str(out), "--quiet")
-    import re
-
     assert re.search(words, found.err) and found.err.count("\n") == 1 and not out.exists()
 
 
