@@ -12,7 +12,13 @@ from touchdown.estimator.deck.features import DeckFeatures
 from touchdown.estimator.deck.filters import DeckFilter
 from touchdown.estimator.deck.odometry import DeckOdometry
 from touchdown.estimator.deck.surfaces import fit_plane, missing_part, surfaces
-from touchdown.sim.api import CameraIntrinsics, LidarScan, Observation, SensorNeeds
+from touchdown.sim.api import (
+    CameraIntrinsics,
+    LidarScan,
+    Observation,
+    RangefinderSample,
+    SensorNeeds,
+)
 from touchdown.sim.frames import BODY_FROM_DOWNWARD_OPTICAL, Pose
 from touchdown.sim.typing import Array
 
@@ -185,3 +191,21 @@ def test_the_deck_is_the_largest_surface_once_all_of_it_is_in_view() -> None:
     told = [time_s for time_s, _, scans, _ in seen if scans]
     assert not [time_s for time_s in told if found_s < time_s < 12.0] and told[-1] > 13.0
     assert seen[-1][1] is None
+
+
+def test_the_rangefinder_measures_the_height_below_the_reach_of_scans() -> None:
+    rig, inner = make_rig(), Still()
+    odometry = DeckOdometry(inner, rig)
+    odometry.update(make_obs(3))
+    odometry.update(make_obs(6))
+    mount = np.array(rig.nav.rangefinder.position_body_m)
+    for range_m, taken in ((0.3, True), (5.0, False)):
+        deck = DeckFilter(0.0, np.array([0.0, 0.0, 25.0 + mount[2] - range_m]), np.zeros(2))
+        odometry._filter = deck
+        sample = RangefinderSample(tick=5, time_s=5 / 600.0, range_m=range_m + 0.1)
+        before = deck.surface(0.0)[0][2]
+        odometry.update(make_obs(9 if taken else 12, rangefinder=(sample,)))
+        assert (deck.seen_s > 0.0) == taken
+        assert (
+            deck.surface(0.0)[0][2] < before - 0.05 if taken else deck.surface(0.0)[0][2] == before
+        )
