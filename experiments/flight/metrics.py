@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from touchdown.estimator.api import GridMap
 from touchdown.experiments.io.result_parts import Nees, PositionError
-from touchdown.sim.api import Contact, Truth
+from touchdown.sim.api import Contact, MovingFrame, Truth
 from touchdown.sim.frames import Pose, tilt_from_rotation, wrap_angle, yaw_from_rotation
 from touchdown.sim.typing import Array
 
@@ -179,8 +179,8 @@ class TouchdownWindow:
 
     def add_after(self, truth: Truth) -> None:
         pose = truth.world_from_body
-        if truth.deck is not None:
-            pose = truth.deck.world_from_frame.inverse() @ pose
+        if (deck := deck_below(truth)) is not None:
+            pose = deck.world_from_frame.inverse() @ pose
         height = float(pose.translation[2])
         self._lowest = min(self._lowest, height)
         self.bounce_m = max(self.bounce_m, height - self._lowest)
@@ -201,11 +201,24 @@ class TouchdownWindow:
         }
 
 
+def deck_below(truth: Truth) -> MovingFrame | None:
+    """The deck that the vehicle is over or beside; None away from it, as on the way home."""
+    deck, place = truth.deck, truth.world_from_body.translation
+    if deck is None:
+        return None
+    away = np.linalg.norm(place - deck.world_from_frame.translation)
+    return deck if away < _BESIDE_DECK_M else None
+
+
 def velocity_over_deck(truth: Truth) -> Array:
     """(3,) m/s of the vehicle relative to the deck below it; in the world where none moves."""
-    if truth.deck is None:
+    if (deck := deck_below(truth)) is None:
         return truth.velocity_world
-    return truth.velocity_world - truth.deck.velocity_at(truth.world_from_body.translation)
+    return truth.velocity_world - deck.velocity_at(truth.world_from_body.translation)
+
+
+_BESIDE_DECK_M = 20.0
+"""from the middle of a vessel of up to 18 m"""
 
 
 PERSON_M = 3.0

@@ -92,3 +92,21 @@ def test_the_scene_asks_for_a_moving_site() -> None:
     assert not load_config(
         scene="deck", overrides=["landing.moving_site=false"]
     ).landing.moving_site
+
+
+def test_at_home_away_from_the_deck_rest_is_that_of_the_world(boat: Scene) -> None:
+    flight = Landing(boat, np.array([-5.0, 0.0, 1.3]))
+    home = np.array([0.0, -40.0, 0.3])
+    deck = MovingFrame(
+        world_from_frame=Pose(np.eye(3), np.array([0.0, 50.0, 0.0])), velocity_world=SPEED,
+        angular_velocity_world=TURN,
+    )  # fmt: skip
+    contact = (Contact(part="leg", other="pontoon", normal_force_n=9.0),)
+    found = [
+        flight.referee.judge(
+            make_truth(t, home, velocity_world=np.zeros(3), deck=deck, contacts=contact),
+            make_estimate(t, home), make_view(Phase.DONE, no_site=True),
+        )
+        for t in (20.0, 20.2, 20.8)
+    ]  # fmt: skip
+    assert found[-1] is Outcome.NO_SITE
