@@ -78,7 +78,7 @@ def test_pattern_is_a_function_of_the_pulse_index(name: str) -> None:
         directions(-1, 5)
 
 
-@pytest.mark.parametrize("name", PATTERNS)
+@pytest.mark.parametrize("name", ["horizon", "avia", "mid360"])
 def test_pattern_does_not_repeat(name: str) -> None:
     """Scans of a tenth of a second, long after one another, share few of their cells' counts."""
     scan_pattern = PATTERNS[name]
