@@ -171,7 +171,7 @@ class DeckOdometry:
         cells = found.cells[:, :2] - site[:2]
         self._radius, self._area = float(np.linalg.norm(cells, axis=1).max()), found.area_m2
         self._filter = DeckFilter(time_s, site, slopes)
-        self._features = DeckFeatures(self._rig.camera, cells)
+        self._features = DeckFeatures(self._undistort.rig.camera, cells)
 
     def _measure(self, deck: DeckFilter, points: Array, edge: Mask, time_s: float) -> None:
         site, slopes = deck.surface(time_s)

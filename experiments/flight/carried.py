@@ -13,12 +13,12 @@ from touchdown.experiments.errors import UsageError
 from touchdown.experiments.io.tum import read_tum
 from touchdown.landing.api import LanderView, Phase
 from touchdown.scenes.api import Scene
-from touchdown.sim.api import Observation, SensorNeeds
+from touchdown.sim.api import Observation, SensorNeeds, WorldParams
 from touchdown.sim.carried import REST_S, CarriedWorld, FlownPath
 from touchdown.sim.files.opening import no_file
 
 
-def carried_world(config: Config, scene: Scene, params: object, drawn: bool) -> CarriedWorld:
+def carried_world(config: Config, scene: Scene, params: WorldParams, drawn: bool) -> CarriedWorld:
     """The world of ``survey.trajectory``. Raises UsageError for a file that holds no trajectory, or
     one that the scene has no room for, and where more than a survey is asked for."""
     file = Path(config.survey.trajectory)
@@ -29,7 +29,7 @@ def carried_world(config: Config, scene: Scene, params: object, drawn: bool) -> 
     try:
         path = FlownPath(*read_tum(file))
         height = config.survey.trajectory_lowest_m
-        return CarriedWorld(scene, params, config.world_seed, path, height, drawn)  # type: ignore[arg-type]
+        return CarriedWorld(scene, params, config.world_seed, path, height, drawn)
     except ValueError as error:
         raise UsageError(f"survey.trajectory: '{file}': {error}") from None
 

@@ -136,16 +136,16 @@ def build_flight_stack(config: Config, scene: Scene) -> FlightStack:
         estimator = Overheard(estimator, lambda obs: own_controller.hear(obs.rotor_speed_radps))
     mapper = own_mapper or _mapper(config, rig)
     lander: Lander
-    if own_lander is None and config.landing.moving_site:
+    if config.survey.trajectory:
+        from touchdown.experiments.flight.carried import Passenger
+
+        lander = Passenger(world.duration_s)
+    elif own_lander is None and config.landing.moving_site:
         lander = DeckLander(rig, config.landing, config.survey)
     else:
         lander = own_lander or SiteLander(
             rig, config.landing, config.survey, classifier, select, watch
         )
-    if config.survey.trajectory:
-        from touchdown.experiments.flight.carried import Passenger
-
-        lander = Passenger(world.duration_s)
     needs = estimator.needs
     if autopilot is not None:
         lander = autopilot.holding(lander)

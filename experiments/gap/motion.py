@@ -77,10 +77,10 @@ def _bands(samples: Array, rate_hz: float) -> Array:
     from scipy.signal import welch
 
     frequencies, density = welch(samples, rate_hz, nperseg=round(6.0 * rate_hz), axis=0)
-    total, step = density.sum(axis=1), frequencies[1] - frequencies[0]
+    total = density.sum(axis=1)
     fine = np.linspace(_MOTION_HZ[:-1], _MOTION_HZ[1:], 20)
     mean = np.interp(fine, frequencies, total).mean(axis=0)
-    return np.asarray(np.log10(np.sqrt(mean * np.diff(_MOTION_HZ))) + 0.0 * step)
+    return np.asarray(np.log10(np.sqrt(mean * np.diff(_MOTION_HZ))))
 
 
 class _Imu:

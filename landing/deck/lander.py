@@ -6,6 +6,7 @@ position does not matter. There is no map and no watch: what moves below is the 
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Generator
 
@@ -111,15 +112,17 @@ class _Chase:
         deck, estimate = self._deck, mission.view.estimate
         self._offset = mission.view.position_odom - deck.site_odom
         self._speed = estimate.velocity_odom - deck.velocity_odom
-        self._known = deck
+        self._known, self._known_s = deck, mission.view.obs.time_s
 
     @property
     def _deck(self) -> DeckTrack:
-        """The deck, or where it would be if it has been lost since."""
-        seen = self._mission.view.estimate.deck
-        if seen is not None:
-            self._known = seen
-        return self._known
+        """The deck; one that has been lost goes on along its course, so that it is met again."""
+        view = self._mission.view
+        if view.estimate.deck is not None:
+            self._known, self._known_s = view.estimate.deck, view.obs.time_s
+            return self._known
+        way = (view.obs.time_s - self._known_s) * self._known.velocity_odom * [1.0, 1.0, 0.0]
+        return dataclasses.replace(self._known, site_odom=self._known.site_odom + way)
 
     def run(self) -> Steps:
         """Follows the deck until it is stood on."""

@@ -14,6 +14,7 @@ from touchdown.sim.carried import EASE_S, REST_S, CarriedWorld, FlownPath
 from touchdown.sim.typing import Array
 
 from support.command import Says
+from support.places import scene_of
 
 RATE = 1.2
 """rad/s of the circle"""
@@ -139,3 +140,14 @@ def test_a_trajectory_through_something_is_one_line(tmp_path: Path, says: Says) 
         "--trajectory does not go with --replay"
         in says(2, "fly", "--replay", str(tmp_path), "--trajectory", str(file)).err
     )
+
+
+def test_a_path_through_something_is_refused() -> None:
+    """The circle's far side lies 6 m to the left of the take-off spot."""
+    xml = """<mujoco><worldbody><geom name="lawn" type="plane" size="60 60 1"/>
+      <geom name="building" type="box" size="1 1 4" pos="0 6 4"/>
+      <site name="takeoff" pos="0 0 0"/></worldbody></mujoco>"""
+    scene, path = scene_of(xml), FlownPath(*circle())
+    with pytest.raises(ValueError, match=r"m into something after .*trajectory_lowest_m"):
+        CarriedWorld(scene, WorldParams(), 3, path)
+    CarriedWorld(scene, WorldParams(), 3, path, height_m=9.0).close()

@@ -99,6 +99,17 @@ def test_a_deck_that_is_lost_from_sight_is_left_and_met_again() -> None:
     assert again.max() > 3.0 and times[-1] > clear[-1] + 4.0
 
 
+def test_a_deck_that_is_not_tracked_any_more_is_gone_along_with() -> None:
+    """Its track ends for five seconds; it is met where its course has taken it."""
+    clear, _ = Deck().land()
+    deck, start = Deck(), clear[-1] - 6.0
+    deck.stage.deck = lambda t: None if start < t < start + 5.0 else deck.track(t)
+    times, over = deck.land()
+    untracked = (times > start + 1.0) & (times < start + 5.0)
+    assert np.hypot(*over[untracked, :2].T).max() < 1.0
+    assert deck.stage.result is True
+
+
 def test_none_comes() -> None:
     stage = Stage(np.array([0.0, 0.0, 20.0]), moving_site=True)
     stage.run(land_on_deck(stage.mission), 100.0)
