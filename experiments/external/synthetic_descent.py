@@ -13,8 +13,8 @@ from touchdown.sim.frames import Pose
 from touchdown.sim.typing import Array
 
 _STEP_TICKS = 12
-_PULSES, _PARTS = 8000, 10
-"""pulses of a scan, and instants at which it is cast"""
+_PULSES, _MORE, _PARTS = 8000, 5, 10
+"""pulses of a scan, factor for one that looks around, and instants at which it is cast"""
 _HALF_VIEW = (0.86, 0.22)
 """tangents of half the field of view, along and across its long axis"""
 _NOISE_M = 0.02
@@ -46,6 +46,8 @@ class Descent:
     """of the estimate"""
     returned: float = 1.0
     """fraction of the pulses"""
+    around: bool = False
+    """whether the LIDAR sees all that is below the horizon"""
     touchdown_s: float = 8.0
     known: bool = True
     """whether there is a map from before"""
@@ -54,21 +56,26 @@ class Descent:
     def scan(self, rig: SensorRig, start_tick: int) -> LidarScan:
         """The scan that begins at a tick."""
         rng = np.random.default_rng([self.seed, start_tick])
-        half = np.array(_HALF_VIEW)
-        beams = np.column_stack([rng.uniform(-half, half, (_PULSES, 2)), np.ones(_PULSES)])
+        half, pulses = np.array(_HALF_VIEW), _PULSES
+        if self.around:
+            pulses *= _MORE
+            beams = rng.standard_normal((pulses, 3))
+            beams[:, 2] = np.abs(beams[:, 2]) + 1e-3
+        else:
+            beams = np.column_stack([rng.uniform(-half, half, (pulses, 2)), np.ones(pulses)])
         beams /= np.linalg.norm(beams, axis=1, keepdims=True)
         ticks, hz = rig.lidar_scan_ticks, rig.tick_hz
-        offsets = np.linspace(0.0, ticks / hz, _PULSES)
+        offsets = np.linspace(0.0, ticks / hz, pulses)
         times = [start_tick / hz + float(part.mean()) for part in np.split(offsets, _PARTS)]
         parts = zip(times, np.split(beams, _PARTS), strict=True)
         ranges = np.concatenate([self._ranges(rig, at, part) for at, part in parts])
-        ranges += rng.normal(0.0, _NOISE_M, _PULSES)
-        ranges[rng.random(_PULSES) >= self.returned] = 0.0
+        ranges += rng.normal(0.0, _NOISE_M, pulses)
+        ranges[rng.random(pulses) >= self.returned] = 0.0
         return LidarScan(
             start_tick=start_tick, end_tick=start_tick + ticks, start_time_s=start_tick / hz,
             end_time_s=(start_tick + ticks) / hz, directions=beams.astype(np.float32),
             ranges=ranges.astype(np.float32), time_offsets=offsets.astype(np.float32),
-            intensity=np.full(_PULSES, 40, np.uint8),
+            intensity=np.full(pulses, 40, np.uint8),
         )  # fmt: skip
 
     def _ranges(self, rig: SensorRig, time_s: float, beams: Array) -> Array:

@@ -1,29 +1,31 @@
 """How soon a flight answers to an intruder: the time from his first sight to a changed setpoint.
 
-He is in view where a part of him lies in the camera's image or in the LIDAR's field of view, the
-legs being below the height from which a descent is watched; whether something hides him is not
-asked.
+He is in view where a part of him lies in the camera's image, or where a scan has returns from him,
+less than 8 m beside a vehicle whose legs are below the height from which a descent is watched.
+Whether something hides him from the camera is not asked.
 """
 
 from __future__ import annotations
-
-import math
 
 import numpy as np
 
 from touchdown.experiments.io.result_parts import Intrusion
 from touchdown.experiments.recording.recorder import StepRecord
-from touchdown.sim.api import GRAVITY_MPS2, SensorRig, VehicleModel
-from touchdown.sim.geometry.lens import project
-from touchdown.sim.lidar.patterns import PATTERNS
+from touchdown.sim.api import GRAVITY_MPS2, LidarScan, SensorRig, VehicleModel
+from touchdown.sim.frames import Pose, PoseHistory
+from touchdown.sim.geometry.lens import bearing, project
 from touchdown.sim.typing import Array
 
-WATCHED_M = 15.0
+WATCHED_M, NEAR_M = 15.0, 8.0
 RULE = "site_not_clear"
-_ROUND_DEG = 35.0
-"""half angle of the cone about the camera's axis that counts for a LIDAR that looks all round"""
 _PARTS_M = (0.2, 0.9, 1.6)
-"""heights of the parts that are looked for"""
+"""heights of the parts that are looked for in images"""
+_ROUND_M, _LOW_M, _HIGH_M, _RETURNS = 0.8, 0.2, 2.2, 6
+"""returns of a scan from him: within a radius, between two heights, that many"""
+_KEPT = 400
+"""control steps: two seconds, longer than a scan is under way"""
+_REACH_M, _REACT_S = 2.0, 0.3
+"""height above which nobody reaches, and time that an answer takes"""
 
 
 class IntrusionObserver:
@@ -31,6 +33,10 @@ class IntrusionObserver:
 
     def __init__(self, rig: SensorRig) -> None:
         self._rig, self._brake_mps2 = rig, _brake_mps2(rig.vehicle)
+        self._body, self._foot = PoseHistory(_KEPT), PoseHistory(_KEPT)
+        width, height = rig.camera.width, rig.camera.height
+        corners = np.array([[0, 0], [0, height], [width, 0], [width, height]], float)
+        self._widest = float(np.linalg.norm(bearing(rig.camera, corners)[:, :2], axis=1).max())
         self._seen: tuple[float, float, float] | None = None
         self._answered_s: float | None = None
         self._sent = False
@@ -42,9 +48,13 @@ class IntrusionObserver:
             return
         self._sent = True
         if self._seen is None:
-            height = float(truth.world_from_body.translation[2] - truth.intruders_world[0, 2])
-            height -= self._rig.vehicle.leg_height_m
-            if height < WATCHED_M and self._in_view(step, truth.intruders_world[0]):
+            foot, body = truth.intruders_world[0], truth.world_from_body
+            self._body.add(truth.time_s, body)
+            self._foot.add(truth.time_s, Pose(np.eye(3), foot))
+            away = body.translation - foot
+            height = float(away[2]) - self._rig.vehicle.leg_height_m
+            near = height < WATCHED_M and np.hypot(away[0], away[1]) < NEAR_M
+            if near and (self._in_image(body, foot) or any(map(self._in_scan, step.obs.scans))):
                 self._seen = truth.time_s, height, max(-float(truth.velocity_world[2]), 0.0)
         told = any(f" {RULE}: " in text for text in step.lander_view.events)
         if told and self._answered_s is None:
@@ -55,39 +65,35 @@ class IntrusionObserver:
         if not self._sent:
             return None
         if self._seen is None:
-            return Intrusion(answered_s=self._answered_s)
+            return Intrusion(answered_s=self._answered_s, avoidable=False)
         time_s, height, sink = self._seen
         late = None if self._answered_s is None else max(self._answered_s - time_s, 0.0)
         stopping = sink**2 / (2.0 * self._brake_mps2)
         return Intrusion(
             in_view_s=time_s, in_view_height_m=height, stopping_m=stopping,
+            avoidable=height - sink * _REACT_S - stopping > _REACH_M,
             answered_s=self._answered_s, reaction_s=late,
         )  # fmt: skip
 
-    def _in_view(self, step: StepRecord, foot: Array) -> bool:
+    def _in_image(self, body: Pose, foot: Array) -> bool:
         k = self._rig.camera
-        world_from_camera = step.truth.world_from_body @ self._rig.body_from_camera
         parts = foot + np.array([[0.0, 0.0, up] for up in _PARTS_M])
-        points = world_from_camera.inverse().apply(parts)
-        points[:, 2] = np.maximum(points[:, 2], 0.1)
-        u, v = project(k, points)[0].T
-        ahead = points[:, 2] > 0.1
-        image = ahead & (u >= 0) & (v >= 0) & (u < k.width) & (v < k.height)
-        return bool((image | self._in_scans(step, parts)).any())
+        points = (body @ self._rig.body_from_camera).inverse().apply(parts)
+        (u, v), ahead = (pixels := project(k, points))[0].T, pixels[1]
+        # far outside the image the model of a lens folds back into it
+        aside = np.linalg.norm(points[:, :2], axis=1)
+        ahead &= aside <= self._widest * np.maximum(points[:, 2], 0.0)
+        return bool((ahead & (u >= 0) & (v >= 0) & (u < k.width) & (v < k.height)).any())
 
-    def _in_scans(self, step: StepRecord, parts: Array) -> Array:
-        """(K,) whether points (K, 3) lie in the LIDAR's field of view."""
-        wide = PATTERNS[self._rig.lidar.preset].field_of_view_deg
-        round_about = max(wide) > 180.0
-        sensor = self._rig.body_from_camera if round_about else self._rig.body_from_lidar
-        points = (step.truth.world_from_body @ sensor).inverse().apply(parts)
-        x, y, z = points[:, 0], points[:, 1], np.maximum(points[:, 2], 1e-3)
-        if round_about:
-            inside = np.hypot(x, y) < z * math.tan(math.radians(_ROUND_DEG))
-        else:
-            limits = np.tan(np.radians(wide) / 2.0)
-            inside = (np.abs(x) < z * limits[0]) & (np.abs(y) < z * limits[1])
-        return np.asarray(inside & (points[:, 2] > 0.1))
+    def _in_scan(self, scan: LidarScan) -> bool:
+        body, foot = self._body.at(scan.end_time_s), self._foot.at(scan.end_time_s)
+        if body is None or foot is None:
+            return False
+        points = (body @ self._rig.body_from_lidar).apply(scan.points[scan.ranges > 0.0])
+        away = points - foot.translation
+        beside = np.hypot(away[:, 0], away[:, 1]) < _ROUND_M
+        hit = beside & (away[:, 2] > _LOW_M) & (away[:, 2] < _HIGH_M)
+        return int(hit.sum()) >= _RETURNS
 
 
 def _brake_mps2(vehicle: VehicleModel) -> float:

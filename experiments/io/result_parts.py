@@ -133,11 +133,13 @@ class Intrusion(Part):
     """What became of the first intruder; times since the start of the flight."""
 
     in_view_s: Figure = None
-    """when he was first in view below 15 m; None: never"""
+    """when he was first in view below 15 m, less than 8 m aside; None: never"""
     in_view_height_m: Figure = None
     """of the legs above where he stood"""
     stopping_m: Figure = None
-    """way in which the vehicle could have stopped sinking then: he can be avoided from above it"""
+    """way in which the vehicle could have stopped sinking then"""
+    avoidable: bool | None = None
+    """whether it could have stopped above 2 m then, 0.3 s later; false for who was never in view"""
     answered_s: Figure = None
     """when the watch first interrupted the descent after he was sent; None: never"""
     reaction_s: Figure = None

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from touchdown.estimator.api import GridMap
-from touchdown.landing.watch.surface import CELL_M, CELLS, Layers
+from touchdown.landing.watch.surface import CELL_M, Layers
 from touchdown.sim.typing import Array, Float32, Mask
 
 _RADIUS_M = 0.8
@@ -34,7 +34,7 @@ class Footing(NamedTuple):
 
 def footing(layers: Layers, corner: Array, site: Array) -> Footing:
     """Returns what the ground within ``_RADIUS_M`` of the site (2,) is like."""
-    x, y = _offsets(corner, site)
+    x, y = _offsets(len(layers.low), corner, site)
     near = np.hypot(x, y) < _RADIUS_M
     at = near & np.isfinite(layers.low)
     if at.sum() < max(_KNOWN_SHARE * near.sum(), 10):
@@ -67,14 +67,14 @@ def nearest_safe(
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))
     safe = cv2.erode(_closed(free), disc, borderType=cv2.BORDER_CONSTANT, borderValue=0) > 0
     safe &= _slope_deg(layers.ground, radius) < _ASIDE_SLOPE_DEG
-    x, y = _offsets(corner, site)
+    x, y = _offsets(len(free), corner, site)
     for place, distance in away:
         safe &= np.hypot(x + site[0] - place[0], y + site[1] - place[1]) > distance
     gap = np.where(safe, np.hypot(x, y), np.inf)
     best = int(np.argmin(gap))
     if gap.flat[best] > _REACH_M:
         return None
-    row, col = divmod(best, CELLS)
+    row, col = divmod(best, len(gap))
     return corner + CELL_M * (np.array([col, row]) + 0.5)
 
 
@@ -95,7 +95,7 @@ def _slope_deg(ground: Float32, reach: int) -> Float32:
     return np.nan_to_num(slope, nan=np.inf)
 
 
-def _offsets(corner: Array, site: Array) -> tuple[Array, Array]:
-    """x (1, CELLS) and y (CELLS, 1) of the cells from a place (2,)."""
-    at = (np.arange(CELLS) + 0.5) * CELL_M
+def _offsets(cells: int, corner: Array, site: Array) -> tuple[Array, Array]:
+    """x (1, cells) and y (cells, 1) of a grid from a place (2,)."""
+    at = (np.arange(cells) + 0.5) * CELL_M
     return (corner[0] + at - site[0])[None, :], (corner[1] + at - site[1])[:, None]

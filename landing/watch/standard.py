@@ -15,7 +15,7 @@ from touchdown.landing.api import Finding, Verdict, WatchInput, WatchReport, Wat
 from touchdown.landing.watch.footing import footing, nearest_safe, water_fraction
 from touchdown.landing.watch.people import SHIPPED, PeopleDetector
 from touchdown.landing.watch.sightings import Sighting, Sightings
-from touchdown.landing.watch.surface import CELL_M, CELLS, Layers, Surface
+from touchdown.landing.watch.surface import CELL_M, Layers, Surface
 from touchdown.landing.watch.tracks import Memory, Track, Tracks, things_in
 from touchdown.sim.api import LidarScan, SensorNeeds
 from touchdown.sim.frames import PoseHistory
@@ -47,6 +47,9 @@ _STEEP_DEG, _STEP_M, _WATER = 12.0, 0.3, 0.5
 without return"""
 _SPARE_M = 0.5
 """distance by which another place is farther away than what is in the way"""
+_REACH_M = 3.5
+"""height of the body below which it climbs at once where somebody is in the way: nobody reaches
+higher"""
 _LOOK_AFTER_S = 3.0
 """time in the way after which it climbs to see more, from below ``landing.look_height_m``"""
 _SAME_M = 0.6
@@ -187,7 +190,10 @@ class StandardWatch:
             None,
             self._height(layers, seen),
         )
-        if blocking and now - self._since_s > _ASIDE_AFTER_S:
+        alive = [one for one in blocking if one.kind in ("moving", "new", "person")]
+        if alive and height < _REACH_M:
+            verdict = Verdict.CLIMB
+        elif blocking and now - self._since_s > _ASIDE_AFTER_S:
             if all(one.kind != "moving" for one in blocking):
                 aside = self._aside(findings, layers, seen, near)
             if aside is not None:
@@ -281,8 +287,8 @@ def _person(one: Sighting, seen: WatchInput, ground_z: float) -> Finding:
 def _ground_at(layers: Layers, corner: Array, at: Array) -> float:
     """Median height of the ground within a metre; NaN where it is not known."""
     col, row = np.floor((at[:2] - corner) / CELL_M).astype(int)
-    reach = int(1.0 / CELL_M)
-    if not (reach <= row < CELLS - reach and reach <= col < CELLS - reach):
+    reach, size = int(1.0 / CELL_M), len(layers.ground)
+    if not (reach <= row < size - reach and reach <= col < size - reach):
         return float("nan")
     patch = layers.ground[row - reach : row + reach + 1, col - reach : col + reach + 1]
     known = patch[np.isfinite(patch)]
@@ -297,7 +303,7 @@ def _known_tops(known: GridMap, layers: Layers, corner: Array) -> Array | None:
     y = known.origin_xy_m[1] + (np.arange(rows) + 0.5) * known.cell_m
     col = np.floor((x - corner[0]) / CELL_M).astype(int)
     row = np.floor((y - corner[1]) / CELL_M).astype(int)
-    ok_c, ok_r = (col >= 0) & (col < CELLS), (row >= 0) & (row < CELLS)
+    ok_c, ok_r = ((at >= 0) & (at < len(layers.ground)) for at in (col, row))
     now = np.full((rows, cols), np.nan)
     now[np.ix_(ok_r, ok_c)] = layers.ground[np.ix_(row[ok_r], col[ok_c])]
     low = (known.max_height_m - known.min_height_m) < _HIGHER_M

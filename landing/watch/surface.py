@@ -18,13 +18,18 @@ from touchdown.sim.frames import Pose, PoseHistory
 from touchdown.sim.typing import Array, Float32
 
 CELL_M = 0.2
-CELLS = 90
-"""along a side: the swath of a 70 degree field of view from 12 m, and some way of the vehicle"""
+CELLS, WIDE_CELLS = 90, 150
+"""along a side: the swath of a 70 degree field of view from 12 m, and some way of the vehicle; of a
+LIDAR that looks around, as far as a rider comes in the last seconds"""
+_AROUND = 0.5
+"""cosine of the angle from straight down beyond which one that looks around sees, too"""
 TALL_M = 0.25
 """height above the ground from which a return is from something that stands on it: above grass,
 meadow and the roughness of what is landed on"""
 _TALL_SHARE = 0.6
 """of a cell's returns: through plants and dust more of them come from the ground"""
+_ASIDE_TALL_M, _ASIDE_SHARE = 0.35, 0.25
+"""the same of what is seen from the side: pulses pass between legs and under an animal"""
 _FREE_M = 0.15
 _WIDEST_M = 2.2
 """width up to which something stands on the ground rather than being it"""
@@ -43,7 +48,7 @@ Mask = NDArray[np.bool_]
 
 
 class Layers(NamedTuple):
-    """What one scan shows, (CELLS, CELLS), row = y."""
+    """What one scan shows, (N, N) for a grid of N cells along a side, row = y."""
 
     tall: Mask
     """something stands there"""
@@ -66,6 +71,7 @@ class Surface:
         self._body_from_lidar = body_from_lidar
         self._renewed_s = -np.inf
         self._lows = np.full((2, CELLS, CELLS), np.inf, np.float32)
+        self._sized = False
         self.corner: Array = np.zeros(2)
         """(2,) corner of the grid, odom frame, a multiple of the cell"""
         self.shift = (0, 0)
@@ -84,15 +90,21 @@ class Surface:
         if any(pose is None for pose in knots):
             return None
         mounted = [pose @ self._body_from_lidar for pose in knots if pose is not None]
+        if not self._sized:
+            self._sized = True
+            down = -scan.directions @ self._body_from_lidar.rotation[2].astype(np.float32)
+            if float(np.quantile(down, 0.1)) < _AROUND:
+                self._lows = np.full((2, WIDE_CELLS, WIDE_CELLS), np.inf, np.float32)
+        size = self._lows.shape[1:]
         middle = mounted[-1].translation[:2]
         self._follow(middle)
         if scan.end_time_s - self._renewed_s > _MEMORY_S:
             self._renewed_s = scan.end_time_s
             self._lows[1] = self._lows[0]
             self._lows[0].fill(np.inf)
-        count = np.zeros((CELLS, CELLS), np.float32)
-        low = np.full((CELLS, CELLS), np.inf, np.float32)
-        high = np.full((CELLS, CELLS), -np.inf, np.float32)
+        count = np.zeros(size, np.float32)
+        low = np.full(size, np.inf, np.float32)
+        high = np.full(size, -np.inf, np.float32)
         cells, heights = binned(
             scan.directions, scan.ranges, scan.time_offsets,
             np.stack([pose.rotation for pose in mounted]),
@@ -104,9 +116,15 @@ class Surface:
         lowest = np.minimum(self._lows[0], self._lows[1])
         ground = ground_below(lowest)
         flat = ground.ravel()[cells]
-        tall = np.bincount(cells[heights > flat + TALL_M], minlength=CELLS * CELLS)
-        share = tall.reshape(CELLS, CELLS) / np.maximum(count, 1.0)
+        tall = np.bincount(cells[heights > flat + TALL_M], minlength=count.size)
+        share = tall.reshape(size) / np.maximum(count, 1.0)
         stands = (share >= _TALL_SHARE) & (count >= 2.0)
+        if size[0] == WIDE_CELLS:
+            tall = np.bincount(cells[heights > flat + _ASIDE_TALL_M], minlength=count.size)
+            at = (np.arange(size[0]) + 0.5) * CELL_M + self.corner[:, None] - middle[:, None]
+            aside = np.hypot(at[0], at[1][:, None]) > mounted[-1].translation[2] - ground
+            share = tall.reshape(size) / np.maximum(count, 1.0)
+            stands |= aside & (share >= _ASIDE_SHARE) & (tall.reshape(size) >= 2)
         free = (count > 0.0) & (high < ground + _FREE_M)
         return Layers(stands, free, count, lowest, ground, high)
 
@@ -123,7 +141,7 @@ class Surface:
 
     def _follow(self, middle: Array) -> None:
         """Moves the grid by whole cells where the vehicle has left its middle."""
-        centred = np.round((middle - 0.5 * CELLS * CELL_M) / CELL_M)
+        centred = np.round((middle - 0.5 * self._lows.shape[1] * CELL_M) / CELL_M)
         before = np.round(self.corner / CELL_M)
         self.shift = (0, 0)
         if np.max(np.abs(centred - before)) * CELL_M > _RECENTRE_M:
@@ -146,7 +164,7 @@ def shifted(layer: NDArray, by: tuple[int, int], blank: float) -> NDArray:  # ty
 
 
 def ground_below(lows: Float32) -> Float32:
-    """Returns the ground under the lowest returns (CELLS, CELLS), +inf where there are none: their
+    """Returns the ground under the lowest returns (N, N), +inf where there are none: their
     plane, and what of the rest is wider than ``_WIDEST_M``. NaN where nothing is near."""
     known = np.isfinite(lows)
     if known.sum() < 10:
@@ -161,7 +179,7 @@ def ground_below(lows: Float32) -> Float32:
 
 
 def _plane(lows: Float32, known: Mask) -> Float32:
-    """Returns the plane (CELLS, CELLS) of most of the lowest returns, from below."""
+    """Returns the plane (N, N) of most of the lowest returns, from below."""
     rows, cols = np.nonzero(known)
     z = lows[known].astype(np.float64)
     design = np.column_stack([np.ones(z.size), cols, rows]).astype(np.float64)
@@ -173,7 +191,7 @@ def _plane(lows: Float32, known: Mask) -> Float32:
         kept = design[near]
         normal = kept.T @ kept + 1e-6 * np.eye(3)
         solution = np.linalg.solve(normal, kept.T @ z[near])
-    at = np.arange(CELLS)
+    at = np.arange(len(lows))
     plane = solution[0] + solution[1] * at[None, :] + solution[2] * at[:, None]
     return plane.astype(np.float32)
 
@@ -196,6 +214,7 @@ def binned(
     cells = np.empty(ranges.shape[0], np.int64)
     heights = np.empty(ranges.shape[0], np.float32)
     point, inside, last = np.empty(3), 0, rotations.shape[0] - 2
+    size = count.shape[0]
     for i in range(ranges.shape[0]):
         r = ranges[i]
         if not 0.0 < r < 60.0:
@@ -213,13 +232,13 @@ def binned(
                 + positions[k, axis] + f * (positions[k + 1, axis] - positions[k, axis])
             )  # fmt: skip
         col, row = int(np.floor(point[0] / CELL_M)), int(np.floor(point[1] / CELL_M))
-        if not (0 <= col < CELLS and 0 <= row < CELLS):
+        if not (0 <= col < size and 0 <= row < size):
             continue
         height = np.float32(point[2])
         count[row, col] += 1.0
         low[row, col] = min(low[row, col], height)
         high[row, col] = max(high[row, col], height)
-        cells[inside] = row * CELLS + col
+        cells[inside] = row * size + col
         heights[inside] = height
         inside += 1
     return cells[:inside], heights[:inside]

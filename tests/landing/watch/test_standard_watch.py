@@ -137,6 +137,30 @@ def test_low_down_it_asks_to_climb_after_a_while_and_higher_up_it_waits() -> Non
         assert Verdict.CLIMB not in early
 
 
+def test_within_reach_it_climbs_at_once() -> None:
+    box = Box(middle=(0.0, 1.0), from_s=0.5)
+    reports = watched(Descent(boxes=(box,), seconds=1.2, pose_at=lambda _: at(3.0)))
+    answers = [report.verdict for _, report in reports if report.verdict is not Verdict.GO]
+    assert set(answers) == {Verdict.CLIMB}
+
+
+@pytest.mark.parametrize(
+    ("size", "away_m", "mps"), [((0.6, 0.6, 1.8), 13.0, 2.0), ((0.4, 0.7, 0.5), 5.5, 1.5)]
+)
+def test_a_lidar_that_looks_around_sees_who_comes_from_aside(
+    size: tuple[float, float, float], away_m: float, mps: float
+) -> None:
+    """Somebody who is as far away as the watch looks, and a dog, seen from the side."""
+    who = Box(middle=(0.0, away_m), size=size, velocity=(0.0, -mps))
+    around, down = (
+        Descent(boxes=(who,), seconds=1.8, touchdown_s=5.0, around=all_, pose_at=lambda _: at(3.0))
+        for all_ in (True, False)
+    )
+    time_s, reason = first(watched(around))
+    assert reason.startswith("something that moves ") and away_m - mps * time_s > 0.6 * away_m
+    assert first(watched(down))[0] == math.inf
+
+
 def test_what_stays_in_the_way_is_evaded_where_the_ground_is_level_and_free() -> None:
     boxes = (Box(middle=(0.0, 1.0), from_s=0.5), Box(middle=(0.0, -1.6), size=(2.0, 1.0, 0.5)))
     reports = watched(Descent(boxes=boxes, seconds=4.0, pose_at=lambda _: at(8.0)))
