@@ -67,16 +67,16 @@ def test_an_answer_before_the_sight_takes_no_time_and_none_is_none() -> None:
 
 
 @pytest.mark.parametrize(
-    ("foot", "seen"),
+    ("aside", "height", "seen"),
     [
-        ((0.0, 1.9, 0.0), True),  # the image along its long side
-        ((0.0, 2.2, 0.0), False),
-        ((0.0, 7.0, 0.0), False),  # where the lens would fold him back into the image
+        (1.9, 3.0, True),  # the image along its long side
+        (2.2, 3.0, False),
+        (3.27, 1.0, False),  # where the lens would fold him back into the image
     ],
 )
-def test_the_field_of_view_of_the_camera(foot: tuple[float, ...], seen: bool) -> None:
+def test_the_field_of_view_of_the_camera(aside: float, height: float, seen: bool) -> None:
     observer = IntrusionObserver(RIG)
-    observer.tick(step(1.0, 3.0, foot))
+    observer.tick(step(1.0, height, (0.0, aside, 0.0)))
     assert (observer.summary().in_view_s is not None) is seen  # type: ignore[union-attr]
 
 

@@ -145,12 +145,12 @@ def test_within_reach_it_climbs_at_once() -> None:
 
 
 @pytest.mark.parametrize(
-    ("size", "away_m", "mps"), [((0.6, 0.6, 1.8), 13.0, 2.0), ((0.4, 0.7, 0.5), 5.5, 1.5)]
+    ("size", "away_m", "mps"), [((0.6, 0.6, 1.8), 13.0, 2.0), ((0.6, 0.15, 0.5), 5.5, 1.5)]
 )
 def test_a_lidar_that_looks_around_sees_who_comes_from_aside(
     size: tuple[float, float, float], away_m: float, mps: float
 ) -> None:
-    """Somebody who is as far away as the watch looks, and a dog, seen from the side."""
+    """Somebody who is as far away as the watch looks, and a dog, of which it sees the side."""
     who = Box(middle=(0.0, away_m), size=size, velocity=(0.0, -mps))
     around, down = (
         Descent(boxes=(who,), seconds=1.8, touchdown_s=5.0, around=all_, pose_at=lambda _: at(3.0))
