@@ -89,7 +89,8 @@ class IntrusionObserver:
         body, foot = self._body.at(scan.end_time_s), self._foot.at(scan.end_time_s)
         if body is None or foot is None:
             return False
-        points = (body @ self._rig.body_from_lidar).apply(scan.points[scan.ranges > 0.0])
+        returned = scan.points[scan.ranges > 0.0].astype(np.float64)
+        points = (body @ self._rig.body_from_lidar).apply(returned)
         away = points - foot.translation
         beside = np.hypot(away[:, 0], away[:, 1]) < _ROUND_M
         hit = beside & (away[:, 2] > _LOW_M) & (away[:, 2] < _HIGH_M)
