@@ -22,7 +22,7 @@ def test_a_rig_stands_over_profile_and_vehicle_and_below_all_else(tmp_path: Path
     config = load_config(None, ["lidar.range_sigma_m=0.03"], rig="xt16_side", vehicle="hexarotor")
     assert (config.lidar.preset, config.lidar.range_sigma_m) == ("xt16", 0.03)
     assert config.lidar.texture == 1.0  # of the profile
-    assert load_config(rig="all_round", "fisheye").camera.readout_s == 0.0  # of the rig, 0.015 in the profile
+    assert load_config(rig="fisheye").camera.readout_s == 0.0  # of the rig, 0.015 in the profile
     own = tmp_path / "own.toml"
     own.write_text('[lidar]\npreset = "avia"\n')
     assert load_config(rig=str(own)).lidar.preset == "avia"
