@@ -158,7 +158,8 @@ VEHICLE = click.option(
 )  # fmt: skip
 
 RIG_NAMES = (
-    "all_round", "fisheye", "global_shutter", "mid360_side", "os1_side", "tilted", "two_lidars", "xt16_side",
+    "all_round", "fisheye", "global_shutter", "mid360_side", "os1_side", "tilted", "two_lidars",
+    "xt16_side",
 )  # fmt: skip
 """Those of `experiments.config.rigs.RIGS`, likewise."""
 RIG = click.option(
