@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import json
+import resource
 from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -11,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
+import psutil
 
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.recordings.clock import poses_of
@@ -53,6 +55,9 @@ _TYPES = {
     "rotors": ("sensor_msgs/msg/JointState",),
 }  # fmt: skip
 _RIGHT, _TRUE = ("right", "cam1", "camera1", "cam_1"), ("truth", "/gt", "vicon", "leica")
+_MEMORY = 4 << 30
+"""bytes that a process may take beyond what it has while a bag is open: chunks say how large they
+are, and decompressors do not ask"""
 _FIXED = ("map", "odom", "world", "earth")
 """frames that are no part of a rig"""
 _BAYER = {
@@ -93,10 +98,14 @@ class RosBag:
 
         try:
             store = get_typestore(Stores.ROS2_HUMBLE)
-            with AnyReader([self.path], default_typestore=store) as reader:
+            with _limited(_MEMORY), AnyReader([self.path], default_typestore=store) as reader:
                 yield reader
         except (UsageError, GeneratorExit, KeyboardInterrupt):
             raise
+        except MemoryError as error:
+            raise UsageError(
+                f"'{self.path}' takes more than {_MEMORY >> 30} GiB to read: give a part of it"
+            ) from error
         except Exception as error:  # of rosbags, of SQLite, of decompressors
             why = " ".join(str(error).split())[:160] or type(error).__name__
             raise UsageError(f"'{self.path}' is damaged or no bag: {why}") from error
@@ -314,3 +323,17 @@ def _picture(message: Any, kind: str) -> Bytes:
         return np.repeat(pixels, 3, axis=2)
     order = [2, 1, 0] if coding in ("bgr8", "8UC3", "bgra8") else [0, 1, 2]
     return np.ascontiguousarray(pixels[..., order])
+
+
+@contextmanager
+def _limited(more: int) -> Iterator[None]:
+    """Lets the process take ``more`` bytes than it has; MemoryError beyond them."""
+    before, most = resource.getrlimit(resource.RLIMIT_DATA)
+    info = psutil.Process().memory_info()
+    wanted = getattr(info, "data", info.rss) + more
+    least = min(one for one in (wanted, before, most) if one != resource.RLIM_INFINITY)
+    resource.setrlimit(resource.RLIMIT_DATA, (least, most))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_DATA, (before, most))

@@ -1,6 +1,7 @@
 """Bags: our own to the digit, those of other drivers, damaged ones."""
 
 import re
+import resource
 import shutil
 from pathlib import Path
 from types import SimpleNamespace
@@ -232,3 +233,27 @@ def test_topics_are_chosen_or_asked_for(livox: Path, rig: Path, tmp_path: Path) 
     asked = ReplayOptions(estimator="livo")
     with pytest.raises(UsageError, match=re.escape("nothing says how their camera is calibrated")):
         replay_recording(livox, tmp_path / "out", asked)
+
+
+def test_a_bag_that_inflates_without_end_is_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from rosbags.rosbag1 import Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    store, file = get_typestore(Stores.ROS1_NOETIC), tmp_path / "small.bag"
+    writer = Writer(file)
+    writer.set_compression(Writer.CompressionFormat.LZ4)
+    with writer:
+        kind = "sensor_msgs/msg/CompressedImage"
+        line, made = writer.add_connection("/camera", kind, typestore=store), store.types
+        stamp = made["builtin_interfaces/msg/Time"](sec=0, nanosec=0)
+        header = made["std_msgs/msg/Header"](seq=0, stamp=stamp, frame_id="")
+        image = made[kind](header=header, format="png", data=np.zeros(256 << 20, np.uint8))
+        writer.write(line, 0, store.serialize_ros1(image, kind))
+    assert file.stat().st_size < 2 << 20
+    monkeypatch.setattr("touchdown.experiments.recordings.bags._MEMORY", 64 << 20)
+    before = resource.getrlimit(resource.RLIMIT_DATA)
+    with pytest.raises(UsageError, match="takes more than 0 GiB to read"):
+        list(RosBag(file, RigParts())._messages("camera"))
+    assert resource.getrlimit(resource.RLIMIT_DATA) == before

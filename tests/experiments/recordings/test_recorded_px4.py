@@ -177,3 +177,18 @@ def test_the_real_imu_against_its_truth() -> None:
     assert np.median([off for off, _ in errors[5]]) < 1e-5
     rest = at_rest(imu, int(truth.stamps_ns[0]))
     np.testing.assert_allclose(rest.rate, table[0, 11:14], atol=0.004)
+    # the accelerometer's bias is what its mean over a second has beside the truth's velocities
+    means, left = [], []
+    for a in range(0, len(rows) - 200, 200):
+        if rows[a + 200] - rows[a] != 200:
+            continue
+        turn, force = turns[a : a + 201], imu.force[rows[a : a + 201]]
+        felt = np.einsum("nij,nj->ni", turn, force)
+        mean = (felt.sum(axis=0) - 0.5 * (felt[0] + felt[-1])) / 200.0
+        gained = (table[a + 200, 8:11] - table[a, 8:11]) / (
+            1e-9 * (table[a + 200, 0] - table[a, 0])
+        )
+        means.append(turn.mean(axis=0))
+        left.append(mean - [0.0, 0.0, 9.81] - gained)
+    bias, *_ = np.linalg.lstsq(np.concatenate(means), np.concatenate(left), rcond=None)
+    np.testing.assert_allclose(bias, table[:, 14:17].mean(axis=0), atol=0.003)
