@@ -1,7 +1,8 @@
 """How soon a flight answers to an intruder: the time from his first sight to a changed setpoint.
 
 He is in view where a part of him lies in the camera's image, or where a scan has returns from him,
-less than 8 m beside a vehicle whose legs are below the height from which a descent is watched.
+less than 8 m beside a vehicle that descends or returns, its legs below the height from which it is
+watched.
 Whether something hides him from the camera is not asked.
 """
 
@@ -11,12 +12,14 @@ import numpy as np
 
 from touchdown.experiments.io.result_parts import Intrusion
 from touchdown.experiments.recording.recorder import StepRecord
+from touchdown.landing.api import Phase
 from touchdown.sim.api import GRAVITY_MPS2, LidarScan, SensorRig, VehicleModel
 from touchdown.sim.frames import Pose, PoseHistory
 from touchdown.sim.geometry.lens import bearing, project
 from touchdown.sim.typing import Array
 
 WATCHED_M, NEAR_M = 15.0, 8.0
+_WATCHED = frozenset({Phase.DESCEND, Phase.RETURN})
 RULE = "site_not_clear"
 _PARTS_M = (0.2, 0.9, 1.6)
 """heights of the parts that are looked for in images"""
@@ -53,7 +56,8 @@ class IntrusionObserver:
             self._foot.add(truth.time_s, Pose(np.eye(3), foot))
             away = body.translation - foot
             height = float(away[2]) - self._rig.vehicle.leg_height_m
-            near = height < WATCHED_M and np.hypot(away[0], away[1]) < NEAR_M
+            watched = height < WATCHED_M and step.lander_view.phase in _WATCHED
+            near = watched and np.hypot(away[0], away[1]) < NEAR_M
             if near and (self._in_image(body, foot) or any(map(self._in_scan, step.obs.scans))):
                 self._seen = truth.time_s, height, max(-float(truth.velocity_world[2]), 0.0)
         told = any(f" {RULE}: " in text for text in step.lander_view.events)

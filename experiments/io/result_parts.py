@@ -133,7 +133,7 @@ class Intrusion(Part):
     """What became of the first intruder; times since the start of the flight."""
 
     in_view_s: Figure = None
-    """when he was first in view below 15 m, less than 8 m aside; None: never"""
+    """when he was first in view of a descent below 15 m, less than 8 m aside; None: never"""
     in_view_height_m: Figure = None
     """of the legs above where he stood"""
     stopping_m: Figure = None

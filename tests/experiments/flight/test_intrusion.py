@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from touchdown.experiments.flight.intrusion import IntrusionObserver
+from touchdown.landing.api import Phase
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.frames import Pose
 
@@ -30,7 +31,13 @@ def scan(point: Any, returns: int, end_s: float) -> Any:
 
 
 def step(
-    time_s: float, height: float, foot: Any, *events: str, sink: float = 2.0, scans: Any = ()
+    time_s: float,
+    height: float,
+    foot: Any,
+    *events: str,
+    sink: float = 2.0,
+    scans: Any = (),
+    phase: Phase = Phase.DESCEND,
 ) -> Any:
     truth = SimpleNamespace(
         time_s=time_s, world_from_body=Pose(np.eye(3), np.array([0.0, 0.0, height])),
@@ -38,7 +45,9 @@ def step(
         intruders_world=np.array([foot], float) if foot else np.zeros((0, 3)),
     )  # fmt: skip
     obs = SimpleNamespace(scans=scans)
-    return SimpleNamespace(truth=truth, obs=obs, lander_view=SimpleNamespace(events=events))
+    return SimpleNamespace(
+        truth=truth, obs=obs, lander_view=SimpleNamespace(events=events, phase=phase)
+    )
 
 
 def test_the_time_from_first_sight_to_the_answer() -> None:
@@ -46,6 +55,7 @@ def test_the_time_from_first_sight_to_the_answer() -> None:
     assert observer.summary() is None
     observer.tick(step(1.0, 20.3, (0, 0, 0)))  # too high to be watched
     observer.tick(step(2.0, 10.3, (30, 0, 0)))  # far aside
+    observer.tick(step(2.5, 10.3, (0, 5, 0), phase=Phase.APPROACH))  # nothing to interrupt
     observer.tick(step(3.0, 10.3, (0, 5, 0), "DESCEND wind_aloft: something else"))
     observer.tick(step(3.4, 9.5, (0, 4, 0), "DESCEND site_not_clear: something moves"))
     observer.tick(step(4.0, 9.0, (0, 3, 0), "DESCEND site_not_clear: something moves"))
