@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import numpy as np
+from numba import types
 
 from touchdown.experiments.flight.kernels import (
     LIST,
@@ -20,6 +21,9 @@ def test_a_listed_kernel_is_not_compiled_again() -> None:
         kernel, arguments = read_line(line)
         assert ", ".join(map(spelled, arguments)) == line.partition(" ")[2]
         assert len(arguments) == kernel.py_func.__code__.co_argcount, line
+        for kind in arguments:
+            if isinstance(kind, types.BaseNamedTuple):
+                assert len(kind) == len(kind.instance_class._fields), line
     (line,) = (line for line in lines if line.startswith("controller.pid:_pid_output "))
     compile_lines([line])
     kernel = read_line(line)[0]
