@@ -51,6 +51,9 @@ _PATIENCE_S = 30.0
 _LOST_S, _BLIND_M = 1.0, 0.7
 """age of a measurement with which the vehicle climbs again, above the height from which scans see
 the deck"""
+_SEARCH_S, _SEARCH_M, _GONE_S = 4.0, 15.0, 30.0
+"""age from which it climbs on to see more, height that it climbs to, and age from which it goes
+home"""
 _CONTACT_M = 0.4
 _RAMP_S, _STOPPED_S = 0.4, 1.0
 
@@ -70,7 +73,7 @@ def _run(mission: Mission) -> Steps:
         if no_go is not None:
             yield from land_at_home(mission)
         elif not (yield from land_on_deck(mission)):
-            mission.state.follow_rule("no_deck", "no deck has come by", "no_site")
+            mission.state.follow_rule("no_deck", "no deck is in sight", "no_site")
             yield from return_home(mission)
     except LegBlockedError:
         yield from blind_descent(mission)
@@ -78,15 +81,16 @@ def _run(mission: Mission) -> Steps:
 
 
 def land_on_deck(mission: Mission) -> Generator[Setpoint, None, bool]:
-    """Flies to where a deck comes by, follows it and lands on it; returns False where none came."""
+    """Flies to where a deck comes by, follows it and lands on it; returns False where none came or
+    it is lost for good."""
     state = mission.state
     state.enter(Phase.SURVEY, "waiting for a deck")
     if not (yield from _wait(mission)):
         return False
     state.enter(Phase.APPROACH, "following the deck")
     state.final = True  # rules about the position do not count: it is not what is flown by
-    yield from _Chase(mission).run()
-    return True
+    state.final = yield from _Chase(mission).run()
+    return state.final
 
 
 def _wait(mission: Mission) -> Generator[Setpoint, None, bool]:
@@ -124,18 +128,21 @@ class _Chase:
         way = (view.obs.time_s - self._known_s) * self._known.velocity_odom * [1.0, 1.0, 0.0]
         return dataclasses.replace(self._known, site_odom=self._known.site_odom + way)
 
-    def run(self) -> Steps:
-        """Follows the deck until it is stood on."""
+    def run(self) -> Generator[Setpoint, None, bool]:
+        """Follows the deck until it is stood on; returns False where it is lost for good."""
         mission, state = self._mission, self._mission.state
         detector = TouchdownDetector(mission.rig)
         waited, last = 0.0, False
         while True:
             deck, step = self._deck, mission.now - self._before
             legs = self._legs_m(deck)
-            lost = mission.view.obs.time_s - deck.seen_s > _LOST_S
+            unseen_s = mission.view.obs.time_s - deck.seen_s
             away = float(np.hypot(*(mission.view.position_odom - deck.site_odom)[:2]))
-            if lost and (legs > _BLIND_M or not last):
-                last, target, sink = False, _FOLLOW_M, _SINK_MPS
+            if unseen_s > _GONE_S:
+                return False
+            if unseen_s > _LOST_S and (legs > _BLIND_M or not last):
+                last, sink = False, _SINK_MPS
+                target = _FOLLOW_M if unseen_s < _SEARCH_S else _SEARCH_M
             elif last:
                 target, sink = -1.0, _LAST_MPS
             elif away > (_NEAR_M if legs > 2.0 * _HOVER_M else 2.0 * _NEAR_M):
@@ -160,6 +167,7 @@ class _Chase:
                 break
             yield setpoint
         yield from self._stop()
+        return True
 
     def _legs_m(self, deck: DeckTrack) -> float:
         """Height of the legs above the deck."""

@@ -3,6 +3,7 @@
 import dataclasses
 
 import numpy as np
+import pytest
 
 from touchdown.estimator.api import DeckTrack
 from touchdown.landing.api import Phase
@@ -108,6 +109,16 @@ def test_a_deck_that_is_not_tracked_any_more_is_gone_along_with() -> None:
     untracked = (times > start + 1.0) & (times < start + 5.0)
     assert np.hypot(*over[untracked, :2].T).max() < 1.0
     assert deck.stage.result is True
+
+
+def test_one_that_stays_away_is_looked_for_from_higher_up_and_given_up() -> None:
+    deck = Deck()
+    deck.stage.deck = lambda t: None if t > 14.0 else deck.track(t)
+    times, over = deck.land()
+    assert deck.stage.result is False and not deck.stage.mission.state.final
+    assert times[-1] == pytest.approx(14.0 + 30.0, abs=0.1)
+    assert over[times < 17.9, 2].max() < 20.0 and over[-1][2] == pytest.approx(15.0, abs=0.2)
+    np.testing.assert_allclose(over[-1][:2], 0.0, atol=0.2)
 
 
 def test_none_comes() -> None:
