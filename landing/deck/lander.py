@@ -137,10 +137,11 @@ class _Chase:
             deck, step = self._deck, mission.now - self._before
             legs = self._legs_m(deck)
             unseen_s = mission.view.obs.time_s - deck.seen_s
+            lost = unseen_s > _LOST_S
             away = float(np.hypot(*(mission.view.position_odom - deck.site_odom)[:2]))
             if unseen_s > _GONE_S:
                 return False
-            if unseen_s > _LOST_S and (legs > _BLIND_M or not last):
+            if lost and (legs > _BLIND_M or not last):
                 last, sink = False, _SINK_MPS
                 target = _FOLLOW_M if unseen_s < _SEARCH_S else _SEARCH_M
             elif last:
