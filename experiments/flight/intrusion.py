@@ -2,8 +2,8 @@
 
 He is in view where a part of him lies in the camera's image, or where a scan has returns from him,
 less than 8 m beside a vehicle that descends or returns, its legs below the height from which it is
-watched.
-Whether something hides him from the camera is not asked.
+watched. A scan counts when it has arrived. Whether something hides him from the camera is not
+asked.
 """
 
 from __future__ import annotations
