@@ -32,6 +32,8 @@ _FORGET_S, _LOST_S = 4.0, 0.35
 """time for which something is kept that is out of sight, and that should be seen"""
 _FIT_S, _FIT_SPAN_S, _FIT_SCANS = 1.2, 0.35, 4
 _MOVES_MPS, _MOVED_M = 0.35, 0.25
+_RUNS_MPS, _RAN_M, _OFF_M = 2.0, 2.0, 0.08
+"""speed and way of what is fast, and root mean square of its distances from one straight motion"""
 
 
 class Thing(NamedTuple):
@@ -158,12 +160,18 @@ class Track:
         if len(near) < _FIT_SCANS or -times[0] < _FIT_SPAN_S:
             return
         places = np.array([xy for _, xy in near])
-        slope = np.polynomial.polynomial.polyfit(times, places, 1)[1]
+        line = np.polynomial.polynomial.polyfit(times, places, 1)
+        slope, off = line[1], places - np.polynomial.polynomial.polyval(times, line).T
         half = len(near) // 2
         moved = np.linalg.norm(places[half:].mean(axis=0) - places[:half].mean(axis=0))
         # What comes into view seems to move too; but it has not been seen free before.
         moves = np.hypot(*slope) > _MOVES_MPS and 2.0 * moved > _MOVED_M and sum(self.lately) > 2
-        self.velocity = slope if moves else np.zeros(2)
+        # Far away too few pulses tell whether the ground was free before. Bushes that are taken for
+        # one thing do not lie on a line in equal steps.
+        speed = np.hypot(*slope)
+        runs = speed > _RUNS_MPS and speed * -times[0] > _RAN_M
+        runs = runs and np.sqrt((off**2).sum(axis=1).mean()) < _OFF_M
+        self.velocity = slope if moves or runs else np.zeros(2)
 
 
 class Tracks:

@@ -1,0 +1,36 @@
+"""Things followed over scans, of which no scan tells where the ground was free before."""
+
+import numpy as np
+import pytest
+
+from touchdown.landing.watch.surface import Layers
+from touchdown.landing.watch.tracks import Thing, Tracks
+from touchdown.sim.typing import Array
+
+SIZE, SCAN_S = 100, 0.1
+_NONE = np.zeros((SIZE, SIZE), bool)
+_UNKNOWN = np.full((SIZE, SIZE), np.nan, np.float32)
+UNSEEN = Layers(_NONE, _NONE, _UNKNOWN, _UNKNOWN, _UNKNOWN, _UNKNOWN)
+
+
+def velocity_of(path: Array) -> Array:
+    tracks = Tracks()
+    for i, at in enumerate(path):
+        cells = at + np.array([[0.0, 0.0], [0.2, 0.0], [0.4, 0.0]])
+        thing = Thing(at, cells, top=1.6, tops=np.full(3, 1.6), height_m=1.6, appeared=0.0)
+        (track,) = tracks.update([thing], i * SCAN_S, UNSEEN, np.zeros(2))
+    return track.velocity
+
+
+@pytest.mark.parametrize(
+    ("mps", "off_m", "runs"), [(5.0, 0.0, True), (4.9, 0.2, False), (1.8, 0.0, False)]
+)
+def test_who_is_fast_moves_wherever_he_comes_from(mps: float, off_m: float, runs: bool) -> None:
+    path = np.column_stack([14.0 - mps * SCAN_S * np.arange(13), np.full(13, 10.0)])
+    path[1::2, 1] += off_m
+    np.testing.assert_allclose(velocity_of(path), [-mps, 0.0] if runs else [0.0, 0.0], atol=1e-6)
+
+
+def test_a_short_way_is_no_run() -> None:
+    path = np.column_stack([np.linspace(14.0, 12.5, 5), np.full(5, 10.0)])
+    assert not velocity_of(path).any()
