@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from touchdown.experiments.io.result_parts import Intrusion
+from touchdown.experiments.io.result_parts import WATCH_RULE, Intrusion
 from touchdown.experiments.recording.recorder import StepRecord
 from touchdown.landing.api import Phase
 from touchdown.sim.api import GRAVITY_MPS2, LidarScan, SensorRig, VehicleModel
@@ -20,7 +20,6 @@ from touchdown.sim.typing import Array
 
 WATCHED_M, NEAR_M = 15.0, 8.0
 _WATCHED = frozenset({Phase.DESCEND, Phase.RETURN})
-RULE = "site_not_clear"
 _PARTS_M = (0.2, 0.9, 1.6)
 """heights of the parts that are looked for in images"""
 _ROUND_M, _LOW_M, _HIGH_M, _RETURNS = 0.8, 0.2, 2.2, 6
@@ -60,7 +59,7 @@ class IntrusionObserver:
             near = watched and np.hypot(away[0], away[1]) < NEAR_M
             if near and (self._in_image(body, foot) or any(map(self._in_scan, step.obs.scans))):
                 self._seen = truth.time_s, height, max(-float(truth.velocity_world[2]), 0.0)
-        told = any(f" {RULE}: " in text for text in step.lander_view.events)
+        told = any(f" {WATCH_RULE}: " in text for text in step.lander_view.events)
         if told and self._answered_s is None:
             self._answered_s = truth.time_s
 

@@ -129,6 +129,10 @@ class Landing(Part):
         return ground_safe(self.judged_on, safe=self.safe, safe_geometry=self.safe_geometry)
 
 
+WATCH_RULE = "site_not_clear"
+"""the rule that interrupts a descent, as events name it"""
+
+
 class Intrusion(Part):
     """What became of the first intruder; times since the start of the flight."""
 

@@ -41,6 +41,7 @@ from touchdown.experiments.reporting.report_tables import (
     axis_table,
     expectation_table,
     flight_table,
+    intruder_table,
     landing_tables,
     map_table,
 )
@@ -119,6 +120,7 @@ def make_report(
         Section("map", "Maps", tables=[map_table(frame, paper=paper)]),
         Section("paths", "Trajectories", pictures=drawn("fig9")),
         Section("landings", "Landings", [], landing_tables(frame, paper=paper), drawn("fig12")),
+        Section("intruders", "Intruders", tables=[intruder_table(frame)]),
         Section("expected", "As expected", tables=[expectation_table(verdicts)]),
         Section("conditions", "Conditions", condition_words(rows, paper=paper)),
     ]  # fmt: skip

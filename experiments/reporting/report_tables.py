@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from touchdown.experiments.campaign.expectations import Verdict
-from touchdown.experiments.io.result_parts import PartNames
+from touchdown.experiments.io.result_parts import WATCH_RULE, PartNames
 from touchdown.experiments.io.results import RunResult
 from touchdown.experiments.reporting import published
 from touchdown.experiments.reporting.flights import values
@@ -26,6 +26,7 @@ from touchdown.experiments.reporting.tables import (
     largest,
     make_table,
     mean,
+    median,
     pooled_variance,
     value,
 )
@@ -35,6 +36,8 @@ _ERROR, _PATH = "position_error_m.mean", "trajectory_error_m"
 _COMMIT, _CONTACT = (
     f"landing.estimate_error_at_{when}_m" for when in ("commit", "contact")
 )  # fmt: skip
+_NEAR_M = 3.0
+"""distance to a person within which a touchdown is unsafe"""
 FLIGHTS = count("flights")
 LANDED = count("landed", lambda own: own["outcome"] == "LANDED")
 UNSAFE = count("unsafe touchdowns", lambda own: _is(own, "ground_safe", False))
@@ -55,6 +58,11 @@ _LANDING_NOTES = (
 def _is(own: pd.DataFrame, column: str, wanted: bool) -> Any:
     """Which flights have ``wanted`` in a column that may be missing, as it may be in each row."""
     return own[column].eq(wanted) if column in own else np.zeros(len(own), bool)
+
+
+_SAFE = fraction(
+    "safe landings", lambda own: (own["outcome"] == "LANDED") & _is(own, "ground_safe", True)
+)
 
 
 def landed_of(frame: pd.DataFrame) -> pd.DataFrame:
@@ -158,10 +166,7 @@ def landing_tables(frame: pd.DataFrame, *, paper: bool = False) -> list[Table]:
 
 def _site_table(landings: pd.DataFrame) -> Table:
     columns = [
-        fraction(
-            "safe landings",
-            lambda own: (own["outcome"] == "LANDED") & _is(own, "ground_safe", True),
-        ),
+        _SAFE,
         *(
             _when_landed(mean(f"landing.{name}"))
             for name in ("slope_deg", "obstacle_distance_m", "target_offset_m")
@@ -276,6 +281,52 @@ def _touchdown_table(landings: pd.DataFrame) -> Table:
     ]
     return make_table(landings, "touchdowns", "How landings went, and the extremes", columns,
                       notes=notes)  # fmt: skip
+
+
+def intruder_table(frame: pd.DataFrame) -> Table:
+    """What became of flights that somebody was sent into, and of those without beside them."""
+    columns = [
+        FLIGHTS,
+        fraction("descent interrupted", _interrupted),
+        _sent(_SAFE),
+        _sent(fraction("hit", _hit)),
+        _sent(fraction("touchdowns within 3 m", lambda own: _nearest(own) < _NEAR_M)),
+        _sent(count("too late to stop", lambda own: _is(own, "intrusion.avoidable", False))),
+        _sent(median("intrusion.reaction_s")),
+        _sent(largest("intrusion.reaction_s")),
+    ]
+    notes = [
+        "Where nobody is sent, each interruption is a false alarm. The other figures are of "
+        "flights that somebody was sent into. Hit: a collision with what moves. Too late to stop: "
+        "when he came within 8 m in view, the vehicle could not have stopped 2 m above the ground. "
+        "Reaction: from then to the first interruption, 0 where it came before."
+    ]
+    sent = "intrusion.avoidable" in frame and frame["intrusion.avoidable"].notna().any()
+    return make_table(
+        frame if sent else frame[:0], "intruders", "Who came", columns, notes=notes, plain=True
+    )
+
+
+def _sent(column: Column) -> Column:
+    """``column`` over the flights that somebody was sent into; empty without one."""
+
+    def of(own: pd.DataFrame) -> Any:
+        sent = own[own["intrusion.avoidable"].notna()]
+        return column.of(sent) if len(sent) else None
+
+    return replace(column, of=of)
+
+
+def _interrupted(own: pd.DataFrame) -> Any:
+    return own["events"].astype(str).str.contains(f" {WATCH_RULE}: ", regex=False)
+
+
+def _hit(own: pd.DataFrame) -> Any:
+    return (own["outcome"] == "COLLIDED") & own["reason"].str.contains("traffic/", regex=False)
+
+
+def _nearest(own: pd.DataFrame) -> Any:
+    return own.get("landing.nearest_person_m", np.inf)
 
 
 def expectation_table(verdicts: Sequence[Verdict]) -> Table:

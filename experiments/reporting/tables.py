@@ -142,6 +142,16 @@ def largest(column: str, title: str = "", **more: Any) -> Column:
     return _of_measure(column, "largest", title, of, **more)
 
 
+def median(column: str) -> Column:
+    """Median of a column of the rows."""
+
+    def of(own: pd.DataFrame) -> float | None:
+        found = values(own, column)
+        return float(np.median(found)) if found.size else None
+
+    return _of_measure(column, "median", "", of)
+
+
 def value(column: str, title: str = "") -> Column:
     """The value of the one flight of a line."""
     return _of_measure(

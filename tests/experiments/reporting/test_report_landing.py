@@ -9,7 +9,7 @@ import pytest
 from touchdown.experiments.reporting import published
 from touchdown.experiments.reporting.figures import Picture, offsets_xy, pictures_of
 from touchdown.experiments.reporting.flights import frame_of, load_flights
-from touchdown.experiments.reporting.report_tables import landing_tables
+from touchdown.experiments.reporting.report_tables import intruder_table, landing_tables
 from touchdown.experiments.reporting.tables import Table
 
 from support.report_support import LANDING, write_run
@@ -139,3 +139,35 @@ def test_fig_12_shows_what_landed_and_enlarges_the_nearest(rows: list[dict[str, 
     assert "enlarged" not in touchdowns(alone).svg
     chosen = touchdowns([row | {"landing.commanded_xy_m": None} for row in alone])
     assert "committed at 4 m" in chosen.title
+
+
+def test_who_came_is_told_apart_from_false_alarms(tmp_path: Path) -> None:
+    answered = [{"time_s": 20.0, "text": "DESCEND site_not_clear: something moves: giving way"}]
+    late = {"avoidable": False}
+    for seed, changes in enumerate((
+        {"intrusion": {"avoidable": True, "reaction_s": 0.2}, "events": answered},
+        {"intrusion": {"avoidable": True, "reaction_s": 0.4}, "events": answered,
+         "landing": landing(0.0, 0.1, nearest_person_m=2.9)},
+        {"intrusion": {"avoidable": True, "reaction_s": 1.8}, "events": answered,
+         "outcome": "NO_SITE"},
+        {"intrusion": late, "outcome": "COLLIDED", "reason": "rotor touched traffic/intruder_0/g"},
+        {"intrusion": late, "outcome": "COLLIDED", "reason": "rotor touched trees/trunk_0/g"},
+    )):  # fmt: skip
+        safe = {"landing": landing(0.0, 0.1, nearest_person_m=3.1)}
+        land(tmp_path, "livo", seed, **(safe | changes))
+    for seed in range(4):
+        land(tmp_path, "livo", seed, "lake", landing=landing(0.0, 0.1), events=answered[seed:])
+    numbers = intruder_table(frame_of(load_flights(tmp_path))).numbers["livo"]
+    shares = {name: found["value"] for name, found in numbers["crossroad"].items()
+              if isinstance(found, dict)}  # fmt: skip
+    assert shares == {
+        "descent interrupted": 0.6, "safe landings": 0.4, "hit": 0.2, "touchdowns within 3 m": 0.2,
+    }  # fmt: skip
+    names = ("too late to stop", "intrusion.reaction_s.median", "intrusion.reaction_s.largest")
+    assert [numbers["crossroad"][name] for name in names] == [2, 0.4, 1.8]
+    assert numbers["lake"]["descent interrupted"]["value"] == 0.25
+    assert not set(names) & set(numbers["lake"])
+
+
+def test_without_intruders_nobody_came(rows: list[dict[str, Any]]) -> None:
+    assert not intruder_table(frame_of(rows)).rows
