@@ -20,6 +20,7 @@ from touchdown.experiments.export.flown_run import Exported, ExportOptions, Flow
 from touchdown.experiments.export.point_cloud import placed_returns
 from touchdown.experiments.export.tables import velocities
 from touchdown.experiments.io import ros2_messages as ros
+from touchdown.experiments.io.dataclass_json import to_plain
 from touchdown.experiments.io.sensor_log_reader import (
     PackedImage,
     SensorLogReader,
@@ -31,6 +32,8 @@ from touchdown.sim.frames import Pose, quat_wxyz_from_matrix
 from touchdown.sim.typing import Array
 
 SEQUENCE = "00"
+RIG_FILE = "rig.json"
+"""the rig as `touchdown replay` reads it"""
 _KEPT_IMAGES = 4
 _IMU_HEAD = (
     "#timestamp [ns],w_RS_S_x [rad s^-1],w_RS_S_y [rad s^-1],w_RS_S_z [rad s^-1],"
@@ -46,7 +49,8 @@ _NO_BIAS = ",0" * 6
 
 
 def write_euroc(flown: FlownRun, folder: Path, _options: ExportOptions) -> Exported:
-    """``mav0/``: cameras, IMU and the true state of the IMU, which is the body of this format.
+    """``mav0/``: cameras, IMU and the true state of the IMU, which is the body of this format;
+    beside it, for `touchdown replay`, the speeds of the rotors and ``rig.json``.
 
     Stamps are nanoseconds of the flight. Images are PNG as logged, with the nominal distortion.
     Biases of the true state are unknown to a log and stand as 0.
@@ -62,21 +66,25 @@ def write_euroc(flown: FlownRun, folder: Path, _options: ExportOptions) -> Expor
         "accelerometer_noise_density": rig.imu.accel_density,
         "accelerometer_random_walk": rig.imu.accel_bias_walk,
     })  # fmt: skip
+    (root / RIG_FILE).write_text(json.dumps(to_plain(rig)), encoding="ascii")
+    rotor_folder = _sensor(root / "rotors0", {"sensor_type": "rotors"})
+    rotor_head = ",".join(f"w_{n} [rad s^-1]" for n in range(len(rig.vehicle.rotor_spin)))
     cameras = [rig.body_from_camera, rig.body_from_camera_right]
     cameras = cameras[: (1 + sensed.stereo) if sensed.camera_hz else 0]
     done = Exported(folder, {"imu0": 0} | {f"cam{n}": 0 for n in range(len(cameras))})
     with ExitStack() as opened:
         imu = _opened(opened, imu_folder / "data.csv", _IMU_HEAD)
+        rotors = _opened(opened, rotor_folder / "data.csv", f"#timestamp [ns],{rotor_head}\n")
         lists = [
             _opened(opened, write_camera(root / f"cam{n}", rig, mount) / "data.csv",
                     "#timestamp [ns],filename\n")
             for n, mount in enumerate(cameras)
         ]  # fmt: skip
         for obs, images in log.packed():
+            rotors.write(_line(ros.tick_ns(obs.tick, rig.tick_hz), obs.rotor_speed_radps))
             for sample in obs.imu:
                 stamp = ros.tick_ns(sample.tick, rig.tick_hz)
-                values = (*sample.angular_velocity.tolist(), *sample.specific_force.tolist())
-                imu.write(f"{stamp},{','.join(f'{value:.12g}' for value in values)}\n")
+                imu.write(_line(stamp, np.append(sample.angular_velocity, sample.specific_force)))
                 done.counts["imu0"] += 1
             for image in images:
                 stamp = ros.stamp_ns(image.tick, image.time_s, rig.tick_hz)
@@ -86,6 +94,11 @@ def write_euroc(flown: FlownRun, folder: Path, _options: ExportOptions) -> Expor
                     done.counts[f"cam{n}"] += 1
     done.counts["state_groundtruth_estimate0"] = write_truth(flown, root, rig)
     return done
+
+
+def _line(stamp: int, values: Array) -> str:
+    """A row of a table, with every digit."""
+    return f"{stamp},{','.join(map(repr, values.tolist()))}\n"
 
 
 def write_truth(flown: FlownRun, root: Path, rig: SensorRig) -> int:
@@ -182,7 +195,7 @@ def write_kitti(flown: FlownRun, folder: Path, options: ExportOptions) -> Export
             first = first or camera
             moved = first.inverse() @ camera
             poses.write(_row(moved.rotation, moved.translation) + "\n")
-            times.write(f"{time_s:.6e}\n")
+            times.write(f"{time_s:.9f}\n")
             count += 1
     done = Exported(folder, {"frames": count})
     if late:
@@ -211,6 +224,6 @@ def _write_calibration(file: Path, rig: SensorRig) -> None:
 
 
 def _row(left: Array, right: Array) -> str:
-    """The twelve numbers of the 3 x 4 matrix of ``left`` (3, 3) and ``right`` (3,)."""
+    """The twelve numbers of the 3 x 4 matrix of ``left`` (3, 3) and ``right`` (3,), every digit."""
     whole = np.column_stack([left, right])
-    return " ".join(f"{value:.9e}" for value in whole.ravel())
+    return " ".join(map(repr, whole.ravel().tolist()))

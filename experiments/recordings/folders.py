@@ -21,14 +21,21 @@ from touchdown.experiments.recordings.contract import (
     RawImage,
     RawScan,
     RigParts,
+    RotorTable,
     Span,
     Stamps,
 )
 from touchdown.experiments.recordings.pictures import read_image
-from touchdown.experiments.recordings.rig_files import intrinsics_of, numbers, pose_of, read_yaml
+from touchdown.experiments.recordings.rig_files import (
+    intrinsics_of,
+    numbers,
+    pose_of,
+    read_rig,
+    read_yaml,
+)
 from touchdown.sim.api import CameraIntrinsics, ImuSheet, LidarSheet
 from touchdown.sim.files.opening import check_file, no_file
-from touchdown.sim.frames import Pose, quat_wxyz_from_matrix
+from touchdown.sim.frames import Pose, matrices_from_quats_wxyz, quat_wxyz_from_matrix
 from touchdown.sim.typing import Array
 
 T = TypeVar("T")
@@ -81,12 +88,14 @@ def _rows(path: Path, columns: int) -> tuple[Stamps, Array]:
 
 
 class EurocFolder:
-    """A folder ``mav0`` of EuRoC MAV, or the one that holds it. The body is the IMU."""
+    """A folder ``mav0`` of EuRoC MAV, or the one that holds it. The body is the IMU, in a folder of
+    ours that of the rig in it."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self._root = path / "mav0" if (path / "mav0").is_dir() else path
-        self.found = self._rig()
+        own = self._root / "rig.json"
+        self.found = self._rig() if no_file(own) == "does not exist" else read_rig(own)
 
     @staticmethod
     def holds(path: Path) -> bool:
@@ -123,13 +132,25 @@ class EurocFolder:
         if no_file(file) == "does not exist":
             return None
         stamps, values = _told(file, lambda: _rows(file, 7))
+        if (whole := self.found.whole) is not None:
+            turns = matrices_from_quats_wxyz(values[:, 3:])
+            imu_from_body = whole.body_from_imu.inverse()
+            values[:, :3] += turns @ imu_from_body.translation
+            turned = turns @ imu_from_body.rotation
+            values[:, 3:] = [quat_wxyz_from_matrix(turn) for turn in turned]
         return PoseTable(stamps_ns=stamps, positions=values[:, :3], quats_wxyz=values[:, 3:])
 
     def nav(self) -> None:
         """Not in this format."""
         return
 
-    rotors = nav
+    def rotors(self) -> RotorTable | None:
+        """The speeds in ``rotors0``, which our exports write beside their rig."""
+        file, whole = self._root / "rotors0" / "data.csv", self.found.whole
+        if whole is None or no_file(file) == "does not exist":
+            return None
+        stamps, speeds = _told(file, lambda: _rows(file, len(whole.vehicle.rotor_spin)))
+        return RotorTable(stamps_ns=stamps, speeds=speeds)
 
     def _lists(self) -> list[list[tuple[int, Path]]]:
         return [_told(folder, functools.partial(_listed, folder))

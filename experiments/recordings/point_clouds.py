@@ -23,8 +23,10 @@ _MAX_POINTS = 1 << 24
 def seconds_after(stamp_ns: int, times: Array) -> Float32:
     """(N,) s after the stamp of a scan, of times (N,) in any unit that a sweep of 2 ms to 2 s
     allows, after the stamp or of the day. Raises ValueError for others."""
-    if not len(times) or not np.isfinite(times).all():
+    if not np.isfinite(times).all():
         raise ValueError("its times are not finite")
+    if not len(times):  # of a sweep that met nothing
+        return np.zeros(0, np.float32)
     first, span = float(times.min()), float(np.ptp(times))
     if span == 0.0:  # moved to one instant already
         return np.zeros(len(times), np.float32)
@@ -43,13 +45,13 @@ def seconds_after(stamp_ns: int, times: Array) -> Float32:
 
 
 def scan_of_cloud(message: Any, stamp_ns: int) -> RawScan:
-    """The scan of a ``sensor_msgs/msg/PointCloud2``. Raises ValueError where it holds no points or
-    contradicts itself."""
+    """The scan of a ``sensor_msgs/msg/PointCloud2``, of which a width of 0 is a sweep that met
+    nothing. Raises ValueError where it contradicts itself."""
     count = int(message.width) * int(message.height)
     fields = {one.name: one for one in message.fields}
     step, data = int(message.point_step), np.asarray(message.data, np.uint8)
     missing = [name for name in "xyz" if name not in fields]
-    if missing or not 0 < count <= _MAX_POINTS or len(data) < count * step:
+    if missing or not 0 <= count <= _MAX_POINTS or len(data) < count * step:
         raise ValueError("a cloud lacks x, y or z, or its points")
     order = ">" if message.is_bigendian else "<"
     if any(one.datatype not in _KINDS for one in fields.values()):

@@ -171,7 +171,14 @@ def test_a_cloud_and_clouds_that_contradict_themselves() -> None:
     np.testing.assert_array_equal(scan.points[:, 0], [1, 2, 3])
     np.testing.assert_array_equal(scan.intensity, [0, 127, 255])
     np.testing.assert_allclose(scan.offsets_s, [0.0, 0.05, 0.1])
-    for changes in ({"width": 4}, {"width": 0}, {"point_step": 8}, {"fields": _cloud().fields[1:]}):
+    nothing = scan_of_cloud(_cloud(width=0, data=np.zeros(0, np.uint8)), 0)
+    assert len(nothing.points) == len(nothing.offsets_s) == len(nothing.intensity) == 0
+    for changes in (
+        {"width": 4},
+        {"width": -1},
+        {"point_step": 8},
+        {"fields": _cloud().fields[1:]},
+    ):
         with pytest.raises(ValueError, match="cloud"):
             scan_of_cloud(_cloud(**changes), 0)
 

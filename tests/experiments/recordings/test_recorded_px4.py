@@ -8,6 +8,7 @@ import pytest
 from touchdown.estimator.filtering.eskf import Eskf
 from touchdown.estimator.filtering.imu_propagation import ImuBuffer, NavState
 from touchdown.experiments.errors import UsageError
+from touchdown.experiments.io.tum import read_tum
 from touchdown.experiments.recordings.clock import at_rest
 from touchdown.experiments.recordings.compose import ComposedLog
 from touchdown.experiments.recordings.contract import RigParts
@@ -22,6 +23,7 @@ from support.command import Says
 from support.recorded_data import recorded
 from support.replay_support import make_run
 from support.ulog_support import write_ulog
+from support.unwritten import ulog_unwritten
 
 GPS = SensorNeeds(gps=True, barometer=True, magnetometer=True)
 
@@ -49,6 +51,24 @@ def test_a_log_of_px4_is_replayed(ulog: Path, tmp_path: Path) -> None:
     assert errors["none"].mean == pytest.approx(away, abs=0.8)
     # the heading is found after a quarter of a second, and was 0 until then
     assert errors["none"].yaw_deg is not None and errors["none"].yaw_deg < 3.0
+
+
+def test_a_log_of_px4_gives_the_estimate_of_what_was_written(
+    ulog: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """To the digit: values of 32 bits at stamps of a microsecond."""
+    asked = ReplayOptions(estimator="gps", align="none")
+    replay_recording(ulog, tmp_path / "file", asked)
+    monkeypatch.setattr(
+        "touchdown.experiments.recordings.run.open_recording",
+        lambda _path, _parts: ulog_unwritten(ulog.parent / "run"),
+    )
+    replay_recording(ulog, tmp_path / "log", asked)
+    log, own = (read_tum(tmp_path / name / "estimate.tum") for name in ("log", "file"))
+    rows = np.isin(log[0], own[0])
+    assert rows.sum() == len(own[0]) > 100
+    for part in (1, 2):
+        np.testing.assert_array_equal(log[part][rows], own[part])
 
 
 def test_axes_and_units_of_px4(ulog: Path) -> None:
