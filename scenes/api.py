@@ -186,6 +186,8 @@ class DeckParams:
     """of the water under boat and barge (docs/scenes.md)"""
     speed_mps: Annotated[float, Interval(ge=0, le=5)] = 3.0
     """of boat and truck along a straight course"""
+    tag_m: Annotated[float, Interval(ge=0, le=2)] = 0.0
+    """side of an AprilTag (36h11, number 0) in the middle of the deck; 0: none"""
 
 
 Dials = RuggedParams | DeckParams

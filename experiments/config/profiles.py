@@ -139,7 +139,9 @@ drift"""
 
 def scene_values(values: Mapping[str, Any]) -> Mapping[str, Any]:
     """The values that the scene of ``values`` sets over those of profile and preset."""
-    return _DECK if values.get("scene") == "deck" else {}
+    if values.get("scene") != "deck":
+        return {}
+    return {**_DECK, "landing.deck_tag_m": values.get("deck.tag_m", 0.0)}
 
 
 def name_in(values: Mapping[str, Any]) -> str:

@@ -289,7 +289,7 @@ def _completed(estimator: Estimator, rig: SensorRig, config: Config) -> Estimato
     if config.landing.moving_site:
         from touchdown.estimator.deck.odometry import DeckOdometry
 
-        estimator = DeckOdometry(estimator, rig)
+        estimator = DeckOdometry(estimator, rig, config.landing.deck_tag_m)
     return BiasedEstimator(estimator, config.bias) if any(config.bias.xy_m) else estimator
 
 

@@ -13,11 +13,13 @@ from touchdown.estimator.deck.filters import DeckFilter
 from touchdown.estimator.deck.odometry import DeckOdometry
 from touchdown.estimator.deck.surfaces import fit_plane, missing_part, surfaces
 from touchdown.sim.api import (
+    CameraImage,
     CameraIntrinsics,
     LidarScan,
     Observation,
     RangefinderSample,
     SensorNeeds,
+    SensorRig,
 )
 from touchdown.sim.frames import BODY_FROM_DOWNWARD_OPTICAL, Pose
 from touchdown.sim.typing import Array
@@ -191,6 +193,49 @@ def test_the_deck_is_the_largest_surface_once_all_of_it_is_in_view() -> None:
     told = [time_s for time_s, _, scans, _ in seen if scans]
     assert not [time_s for time_s in told if found_s < time_s < 12.0] and told[-1] > 13.0
     assert seen[-1][1] is None
+
+
+TAG_M = 1.5
+
+
+def photographed(rig: SensorRig, body: Pose, middle: Array, side_m: float) -> Array:
+    """The image of a level grey deck with a tag of ``side_m`` at ``middle``."""
+    dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
+    tag = np.pad(cv2.aruco.generateImageMarker(dictionary, 0, 400), 50, constant_values=255)
+    view = (body @ rig.body_from_camera).inverse()
+    x, y = view.rotation[:, 0], -view.rotation[:, 1]  # rows go down, y up
+    corner = view.apply(middle) - 250 * side_m / 400 * (x + y)
+    onto = rig.camera.matrix() @ np.column_stack([x * side_m / 400, y * side_m / 400, corner])
+    size = rig.camera.width, rig.camera.height
+    seen = cv2.warpPerspective(tag, onto, size, borderValue=90, flags=cv2.INTER_AREA)
+    return np.repeat(cv2.GaussianBlur(seen, (0, 0), 0.6)[..., None], 3, axis=2)
+
+
+def test_a_deck_is_found_by_its_tag_and_scans_correct_its_height() -> None:
+    """The tag is larger than told, so that it seems nearer by a metre; its deck does not end within
+    the field of view."""
+    rig, inner = make_rig(), Still()
+    body = Pose(np.eye(3), np.array([0.0, 0.0, 25.0]))
+    odometry, events, seen = DeckOdometry(inner, rig, TAG_M), [], []
+    for tick in range(3, 600 * 6, 3):
+        time_s = tick / 600.0
+        middle = np.array([0.3, -6.0 + 2.0 * time_s, 1.0])
+        images, scans = (), ()
+        if tick % 60 == 0:
+            scans = (scan_of(tick, body @ rig.body_from_lidar, [(middle, (60.0, 60.0))]),)
+            shown = 1.04 * TAG_M if time_s > 1.0 else 1e-3
+            rgb = photographed(rig, body, middle, shown)
+            images = (CameraImage(tick=tick, time_s=time_s, rgb=rgb),)
+        estimate = odometry.update(make_obs(tick, scans=scans, images=images))
+        events += [(time_s, event) for event in estimate.events]
+        seen.append((time_s, estimate.deck, middle))
+    ((found_s, event),) = events
+    assert event == "tag of a deck found" and 1.1 < found_s < 1.5
+    for time_s, deck, middle in seen:
+        assert (deck is not None) == (time_s >= found_s)
+        if deck is not None and time_s > found_s + 2.0:
+            np.testing.assert_allclose(deck.site_odom, middle, atol=0.08)
+            np.testing.assert_allclose(deck.velocity_odom, [0.0, 2.0, 0.0], atol=0.15)
 
 
 def test_the_rangefinder_measures_the_height_below_the_reach_of_scans() -> None:

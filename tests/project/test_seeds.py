@@ -35,7 +35,7 @@ def test_a_campaign_uses_seeds_of_its_own_kind(file: str) -> None:
         assert found == {"verdict on intruders"}
     elif file in {"configs/vehicles.toml", "configs/rigs.toml"}:
         assert found == {"verdict on vehicles and rigs"}
-    elif file == "configs/deck.toml":
+    elif file in {"configs/deck.toml", "configs/deck_curve.toml"}:
         assert found == {"verdict on a moving deck"}
     elif file in REGRESSION:
         assert found <= {"regression", "short"}

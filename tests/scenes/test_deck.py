@@ -3,6 +3,7 @@
 import dataclasses
 from collections.abc import Iterator
 
+import cv2
 import numpy as np
 import pytest
 
@@ -82,6 +83,25 @@ def test_sensors_see_the_deck_and_touch_what_carries_it(boat: Scene) -> None:
     assert not touchable[model.geom_bodyid == seen].any()
     assert touchable[model.geom_bodyid == carrier].all()
     assert (model.geom_group[model.geom_bodyid == carrier] >= 3).all()
+
+
+def test_a_tag_is_printed_in_the_middle_of_the_deck() -> None:
+    dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
+    read = cv2.aruco.ArucoDetector(dictionary).detectMarkers
+    for tag_m in (1.2, 0.0):
+        dials = DeckParams(kind="truck", tag_m=tag_m)
+        model = load_scene("deck", 3, dials=dials).model
+        of = model.texture("deck_top").id
+        height, width, at = model.tex_height[of], model.tex_width[of], model.tex_adr[of]
+        sheet = model.tex_data[at : at + 3 * height * width].reshape(height, width, 3)
+        corners, numbers, _ = read(np.ascontiguousarray(sheet))
+        assert (numbers is not None) == (tag_m > 0.0)
+        if numbers is not None:
+            assert numbers.ravel().tolist() == [0]
+            side_px = np.linalg.norm(np.diff(corners[0][0], axis=0), axis=1)
+            np.testing.assert_allclose(6.4 * side_px / width, tag_m, rtol=0.02)
+            middle = corners[0][0].mean(axis=0)
+            np.testing.assert_allclose(middle, [0.5 * width, 0.5 * height], atol=2.0)
 
 
 @pytest.fixture

@@ -89,7 +89,7 @@ def generate(seed: int, params: DeckParams) -> SceneDraft:
     body = builder.spec.worldbody.add_body(
         name=NAME, mocap=True, pos=course[0], quat=quat_z(heading)
     )
-    _add_deck(builder, body, carrier)
+    _add_deck(builder, body, carrier, params.tag_m)
     {"boat": _add_boat, "barge": _add_barge, "truck": _add_truck}[params.kind](builder, body)
     sway = hull_motion(rng, params.sea_state, carrier.hull_m, speed) if afloat else None
     moving = MovingBody(
@@ -115,7 +115,7 @@ def _course(middle: Array, heading: float, speed_mps: float, passes_s: float) ->
     return np.stack([middle - passes_s * along, middle + (_COURSE_S - passes_s) * along])
 
 
-def _add_deck(builder: SceneBuilder, body: Any, carrier: Carrier) -> None:
+def _add_deck(builder: SceneBuilder, body: Any, carrier: Carrier, tag_m: float) -> None:
     """Adds the plate that is landed on, with a picture, and a kerb around it."""
     x, y = 0.5 * carrier.deck_m[0], 0.5 * carrier.deck_m[1]
     at = np.array([carrier.deck_x_m, 0.0, carrier.top_m])
@@ -125,7 +125,7 @@ def _add_deck(builder: SceneBuilder, body: Any, carrier: Carrier) -> None:
     uv = np.array([[0.0, 1.0], [1.0, 1.0], [1.0, 0.0], [0.0, 0.0]])
     under = box((x, y, 0.01), (0.0, 0.0, -0.012), 1e3)
     mesh = builder.mesh("deck_top", MeshData.join([polygon(top, uv), under]))
-    look = builder.material("deck_top", _picture(builder.rng, carrier))
+    look = builder.material("deck_top", _picture(builder.rng, carrier, tag_m))
     builder.geom("deck_top", carrier.surface, body, mesh=mesh, material=look, contype=0,
                  pos=at + [0.0, 0.0, 0.003])  # fmt: skip
     for sign in (-1.0, 1.0):
@@ -133,8 +133,8 @@ def _add_deck(builder: SceneBuilder, body: Any, carrier: Carrier) -> None:
                      pos=at + [0.0, sign * (y - 0.04), 0.06])  # fmt: skip
 
 
-def _picture(rng: np.random.Generator, carrier: Carrier) -> Image:
-    """Worn paint with seams, a yellow edge, a ring and a cross, and stains."""
+def _picture(rng: np.random.Generator, carrier: Carrier, tag_m: float) -> Image:
+    """Worn paint with seams, a yellow edge, a ring and a cross, and stains; a tag over them."""
     px = 96.0
     width, height = (round(size * px) for size in carrier.deck_m)
     y, x = np.mgrid[0:height, 0:width].astype(np.float32) / px
@@ -151,7 +151,19 @@ def _picture(rng: np.random.Generator, carrier: Carrier) -> Image:
     ring = np.abs(np.hypot(right, up) - 0.36 * min(carrier.deck_m)) < 0.07
     cross = (np.minimum(np.abs(right), np.abs(up)) < 0.06) & (np.hypot(right, up) < 0.6)
     image[(ring | cross) & worn] = (226.0, 226.0, 220.0)
-    return to_texture(image)
+    picture = to_texture(image)
+    if tag_m:
+        _print_tag(picture, round(tag_m * px))
+    return picture
+
+
+def _print_tag(image: Image, side_px: int) -> None:
+    """Prints a tag with a white margin of one of its eight cells in the middle of ``image``."""
+    dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
+    tag = cv2.aruco.generateImageMarker(dictionary, 0, side_px)
+    framed = np.pad(tag, side_px // 8, constant_values=255)
+    top, left = ((size - len(framed)) // 2 for size in image.shape[:2])
+    image[top : top + len(framed), left : left + len(framed)] = 20 + framed[..., None] // 5 * 4
 
 
 def _rail(builder: SceneBuilder, body: Any, ends: tuple[Array, Array], height_m: float) -> None:
