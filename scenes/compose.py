@@ -232,7 +232,9 @@ def vehicle_spec(name_or_path: str) -> Any:
 
 
 def _attach_vehicle(spec: Any, draft: SceneDraft, vehicle: str) -> None:
-    spec.attach(vehicle_spec(vehicle), prefix="vehicle/", frame=spec.worldbody.add_frame())
+    own = vehicle_spec(vehicle)
+    own.option = spec.option
+    spec.attach(own, prefix="vehicle/", frame=spec.worldbody.add_frame())
     body = spec.body(api.VEHICLE_BODY)
     half_yaw = 0.5 * draft.takeoff_yaw
     body.pos = [*draft.takeoff_xy_m, 0.0]

@@ -70,6 +70,15 @@ def test_what_a_flight_needs_is_added(tmp_path: Path) -> None:
     assert scene.vehicle.endswith("mine.xml") and scene.model.body("vehicle/quadrotor").mass == 2.0
 
 
+def test_options_of_its_file_are_dropped_without_a_word(
+    tmp_path: Path, recwarn: pytest.WarningsRecorder
+) -> None:
+    more = '<option timestep="0.01" density="1" integrator="RK4" gravity="0 0 -1"/>'
+    scene = load_scene("flat", 0, guests=Guests(vehicle=write(tmp_path, more=more)))
+    assert str(scene.model.opt) == str(load_scene("flat", 0).model.opt)
+    assert not [str(one.message) for one in recwarn.list]
+
+
 def test_bodies_inside_are_one_with_it_and_the_origin_is_the_centre_of_mass(
     tmp_path: Path,
 ) -> None:
