@@ -32,6 +32,7 @@ from touchdown.sim.frames import Pose, quat_wxyz_from_matrix
 from touchdown.sim.typing import Array
 
 SEQUENCE = "00"
+ARRIVALS = "arrivals.csv"
 RIG_FILE = "rig.json"
 """the rig as `touchdown replay` reads it"""
 _KEPT_IMAGES = 4
@@ -50,7 +51,7 @@ _NO_BIAS = ",0" * 6
 
 def write_euroc(flown: FlownRun, folder: Path, _options: ExportOptions) -> Exported:
     """``mav0/``: cameras, IMU and the true state of the IMU, which is the body of this format;
-    beside it, for `touchdown replay`, the speeds of the rotors and ``rig.json``.
+    beside it, for `touchdown replay`, speeds of the rotors, times of arrival and ``rig.json``.
 
     Stamps are nanoseconds of the flight. Images are PNG as logged, with the nominal distortion.
     Biases of the true state are unknown to a log and stand as 0.
@@ -80,6 +81,7 @@ def write_euroc(flown: FlownRun, folder: Path, _options: ExportOptions) -> Expor
                     "#timestamp [ns],filename\n")
             for n, mount in enumerate(cameras)
         ]  # fmt: skip
+        arrivals = _opened(opened, root / ARRIVALS, "#timestamp [ns],arrival [ns]\n")
         for obs, images in log.packed():
             rotors.write(_line(ros.tick_ns(obs.tick, rig.tick_hz), obs.rotor_speed_radps))
             for sample in obs.imu:
@@ -87,7 +89,9 @@ def write_euroc(flown: FlownRun, folder: Path, _options: ExportOptions) -> Expor
                 imu.write(_line(stamp, np.append(sample.angular_velocity, sample.specific_force)))
                 done.counts["imu0"] += 1
             for image in images:
+                arrival = ros.tick_ns(obs.tick, rig.tick_hz)
                 stamp = ros.stamp_ns(image.tick, image.time_s, rig.tick_hz)
+                arrivals.write(f"{stamp},{arrival}\n")
                 for n, (listing, png) in enumerate(zip(lists, image.pngs, strict=False)):
                     (root / f"cam{n}" / "data" / f"{stamp}.png").write_bytes(png.tobytes())
                     listing.write(f"{stamp},{stamp}.png\n")

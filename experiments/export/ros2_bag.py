@@ -169,7 +169,7 @@ class _Sensors:
         """Writes one observation, with its images as they were logged."""
         arrival_ns = self._ns(obs.tick)
         for scan in obs.scans:
-            start_ns = self._ns(scan.start_tick)
+            start_ns = ros.stamp_ns(scan.start_tick, scan.start_time_s, self._rig.tick_hz)
             message = ros.cloud_message(start_ns, LIDAR, scan, ros.VELODYNE_POINT)
             self._bag.put("/lidar/points", arrival_ns, message)
         for image in images if self._images != "none" else ():

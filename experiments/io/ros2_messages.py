@@ -78,7 +78,7 @@ def tick_ns(tick: int, tick_hz: int) -> int:
 
 def stamp_ns(tick: int, time_s: float, tick_hz: int) -> int:
     """Nanoseconds of a stamp of ``time_s`` near ``tick``: those of the tick where it is exact."""
-    return max(0, tick_ns(tick, tick_hz) + round((time_s - tick / tick_hz) * 1e9))
+    return tick_ns(tick, tick_hz) if time_s == tick / tick_hz else max(0, round(1e9 * time_s))
 
 
 def _make(message_type: str, *members: Any) -> Any:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import json
 import resource
@@ -110,16 +111,17 @@ class RosBag:
             why = " ".join(str(error).split())[:160] or type(error).__name__
             raise UsageError(f"'{self.path}' is damaged or no bag: {why}") from error
 
-    def _messages(self, *names: str) -> Iterator[tuple[str, Any, Callable[[], Any]]]:
-        """Name, type and reader of each message of the topics of ``names`` that there are."""
+    def _messages(self, *names: str) -> Iterator[tuple[str, int, Any, Callable[[], Any]]]:
+        """Name, time in the bag, type and reader of each message of the topics of ``names`` that
+        there are."""
         wanted = {self._topics[name]: name for name in names if name in self._topics}
         if not wanted:
             return
         with self._opened() as reader:
             chosen = [one for one in reader.connections if one.topic in wanted]
-            for connection, _, raw in reader.messages(chosen):
+            for connection, at_ns, raw in reader.messages(chosen):
                 read = functools.partial(reader.deserialize, raw, connection.msgtype)
-                yield wanted[connection.topic], connection.msgtype, read
+                yield wanted[connection.topic], at_ns, connection.msgtype, read
 
     def _chosen(self, by_topic: dict[str, str], given: dict[str, str]) -> dict[str, str]:
         """Topic of each kind: the one given, or the only one."""
@@ -226,7 +228,7 @@ class RosBag:
     def imu(self) -> ImuTable | None:
         """The samples, in the order of their stamps, each once."""
         rows = []
-        for _, _, read in self._messages("imu"):
+        for *_, read in self._messages("imu"):
             m = read()
             w, a = m.angular_velocity, m.linear_acceleration
             rows.append((_stamp(m), w.x, w.y, w.z, a.x, a.y, a.z))
@@ -241,7 +243,7 @@ class RosBag:
     def truth(self) -> PoseTable | None:
         """The poses of the topic of the truth."""
         rows = []
-        for _, _, read in self._messages("truth"):
+        for *_, read in self._messages("truth"):
             m = read()
             pose = getattr(m, "pose", None) or m.transform
             pose = getattr(pose, "pose", pose)
@@ -262,7 +264,7 @@ class RosBag:
     def rotors(self) -> RotorTable | None:
         """The velocities of the joints, which our exports write."""
         rows = [(_stamp(m), np.array(m.velocity)) for m in
-                (read() for _, _, read in self._messages("rotors"))]  # fmt: skip
+                (read() for *_, read in self._messages("rotors"))]  # fmt: skip
         if not rows or len({len(speeds) for _, speeds in rows}) != 1:
             return None
         stamps = np.array([stamp for stamp, _ in rows], np.int64)
@@ -274,16 +276,20 @@ class RosBag:
 
     def frames(self, span: Span = ALL) -> Iterator[RawFrame]:
         """Scans and images in the order of the bag; a message that contradicts itself ends it."""
-        for name, kind, read in self._messages("lidar", "camera", "camera_right"):
+        ours = self.found.whole is not None  # the time of arrival; others' is that of writing
+        for name, at_ns, kind, read in self._messages("lidar", "camera", "camera_right"):
             message = read()
+            arrives = at_ns if ours else None
             stamp = _stamp(message)
             if not span.holds(stamp):
                 continue
             if name == "lidar":
-                yield self._scan(message, kind, stamp)
+                scan = self._scan(message, kind, stamp)
+                yield dataclasses.replace(scan, arrives_ns=arrives)
             else:
                 of = functools.partial(_picture, message, kind)
-                yield RawImage(stamp_ns=stamp, right=name == "camera_right", read=of)
+                right = name == "camera_right"
+                yield RawImage(stamp_ns=stamp, right=right, read=of, arrives_ns=arrives)
 
     def _scan(self, message: Any, kind: str, stamp: int) -> RawScan:
         try:

@@ -303,17 +303,16 @@ class ComposedLog(SensorLogReader):
         self, images: bool = True, keep: Callable[[Any], bool] | None = None, right: bool = True
     ) -> Iterator[Observation]:
         """Observations from the beginning to the last frame; see `SensorLogReader`."""
-        grid, clock, rig = self._grid, self.clock, self.rig
+        grid, clock = self._grid, self.clock
         self.counts = Counter()
-        waiting = Waiting(self._recording.frames(self._span), self._time_of)
-        latency_s = rig.compute_latency_ticks / rig.tick_hz
+        waiting = Waiting(self._recording.frames(self._span), self._arrival_of)
         newest = {"scan": 0, "image": 0}
         small = small_messages(self._nav, clock)
         for k in range(len(grid.gyro)):
             tick = (k + 1) * clock.imu_ticks
             time_s = tick / clock.tick_hz
             scans, pictures = [], []
-            for frame in waiting.until(time_s - latency_s + 1e-9):
+            for frame in waiting.until(time_s + 1e-9):
                 if isinstance(frame, RawScan):
                     scan = self._scan(frame, newest["scan"])
                     if scan is None:
@@ -356,6 +355,12 @@ class ComposedLog(SensorLogReader):
         stamp = self.clock.start_ns + round(1e9 * time_s) + 1
         row = max(int(np.searchsorted(table.stamps_ns, stamp, side="right")) - 1, 0)
         return np.asarray(table.speeds[row])
+
+    def _arrival_of(self, frame: RawFrame) -> float:
+        """When a frame is on board, by the clock of the IMU."""
+        if frame.arrives_ns is not None:
+            return self.clock.seconds(frame.arrives_ns)
+        return self._time_of(frame) + self.rig.compute_latency_ticks / self.rig.tick_hz
 
     def _time_of(self, frame: RawFrame) -> float:
         """Time of a frame by the clock of the IMU: of a scan its end."""

@@ -93,6 +93,8 @@ class RawScan:
     """(N,) s after the stamp, in any order; all 0: the sweep is moved to one instant already"""
     intensity: Bytes
     """(N,) 0..255"""
+    arrives_ns: int | None = None
+    """when it was on board, where DATA tells; None: the latency of the rig after its end"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -104,6 +106,8 @@ class RawImage:
     """of the right camera of a pair"""
     read: Callable[[], Bytes]
     """(H, W, 3) RGB. Raises ValueError, one line"""
+    arrives_ns: int | None = None
+    """as that of a `RawScan`"""
 
 
 RawFrame = RawScan | RawImage

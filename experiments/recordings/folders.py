@@ -157,18 +157,28 @@ class EurocFolder:
                 for folder in (self._root / "cam0", self._root / "cam1")
                 if folder.is_dir()]  # fmt: skip
 
+    def _arrivals(self) -> dict[int, int]:
+        """When images were on board, by their stamps, which our exports write beside their rig."""
+        file = self._root / "arrivals.csv"
+        if self.found.whole is None or no_file(file) == "does not exist":
+            return {}
+        stamps, values = _told(file, lambda: _rows(file, 1))
+        return dict(zip(stamps.tolist(), values[:, 0].astype(int).tolist(), strict=True))
+
     def begins_ns(self) -> int:
         """The first stamp of an image."""
         return min((rows[0][0] for rows in self._lists() if rows), default=0)
 
     def frames(self, span: Span = ALL) -> Iterator[RawFrame]:
         """Left images, each before the right one of its row."""
+        arrivals = self._arrivals()
         for pair in zip_longest(*self._lists()):
             for n, entry in enumerate(pair):
                 if entry is not None and span.holds(entry[0]):
                     stamp, file = entry
                     read = functools.partial(read_image, file)
-                    yield RawImage(stamp_ns=stamp, right=n == 1, read=read)
+                    at = arrivals.get(stamp)
+                    yield RawImage(stamp_ns=stamp, right=n == 1, read=read, arrives_ns=at)
 
 
 def _lens(folder: Path) -> Lens:

@@ -1,10 +1,13 @@
 """A log of ours as a recording without a file between: what the format of an export has room for,
 at its resolution."""
 
+import dataclasses
+import shutil
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pymap3d
@@ -12,6 +15,7 @@ import pymap3d
 from touchdown.estimator.filtering.camera_model import Undistorter
 from touchdown.experiments.export.datasets import _frames
 from touchdown.experiments.export.point_cloud import placed_returns
+from touchdown.experiments.io.sensor_log import SensorLog
 from touchdown.experiments.io.sensor_log_reader import SensorLogReader, unpack_image
 from touchdown.experiments.io.tum import Trajectory
 from touchdown.experiments.recordings.contract import (
@@ -26,7 +30,7 @@ from touchdown.experiments.recordings.contract import (
     RigParts,
     Span,
 )
-from touchdown.sim.api import ImuSheet, LidarSheet
+from touchdown.sim.api import CameraImage, ImuSheet, LidarSheet
 from touchdown.sim.frames import Pose, quat_wxyz_from_matrix
 from touchdown.sim.typing import Array
 
@@ -61,6 +65,41 @@ class Unwritten:
 
     def frames(self, span: Span = ALL) -> Iterator[RawFrame]:
         return (one for one in self.kept if span.holds(one.stamp_ns))
+
+
+def delayed(run: Path, out: Path, single: bool = False) -> Path:
+    """A copy of ``run`` whose scans and images arrive up to four observations later, of clocks that
+    are 0.123457 ms late. ``single``: with the returns of its scans as points of 32 bits."""
+    reader, rng = SensorLogReader(run / "sensors.mcap"), np.random.default_rng(5)
+    shutil.copytree(run, out)
+    log = SensorLog(out / "sensors.mcap", reader.rig, reader.sensed, reader.shared)
+    held: list[tuple[int, str, Any]] = []
+
+    def moved(one: Any) -> Any:
+        if isinstance(one, CameraImage):
+            return dataclasses.replace(one, time_s=1e-9 * (round(1e9 * one.time_s) + 123_457))
+        start_s = 1e-9 * (round(1e9 * one.start_time_s) + 123_457)
+        end_s = start_s + (one.end_tick - one.start_tick) / reader.rig.tick_hz
+        late = dataclasses.replace(one, start_time_s=start_s, end_time_s=end_s)
+        hit = one.ranges > 0.0
+        points = one.points[hit].astype(np.float32)
+        ranges = np.linalg.norm(points, axis=1)
+        return late if not single else dataclasses.replace(
+            late, directions=points / ranges[:, None], ranges=ranges,
+            time_offsets=one.time_offsets[hit], intensity=one.intensity[hit],
+        )  # fmt: skip
+
+    for number, obs in enumerate(reader):
+        for name in ("scans", "images"):
+            held += [(number + int(rng.integers(5)), name, moved(one))
+                     for one in getattr(obs, name)]  # fmt: skip
+        due: dict[str, Any] = {name: tuple(one for at, kind, one in held
+                               if kind == name and at <= number)
+                               for name in ("scans", "images")}  # fmt: skip
+        held = [one for one in held if one[0] > number]
+        log.add(dataclasses.replace(obs, **due))
+    log.close()
+    return out
 
 
 def kitti_unwritten(run: Path) -> Unwritten:

@@ -100,7 +100,8 @@ def test_faulty_messages_are_read_back_unchanged(tmp_path: Path) -> None:
 def test_other_tools_read_the_stamp_of_an_image() -> None:
     """Nanoseconds of the tick where it is exact, else those of the stamp."""
     assert stamp_ns(61, 61 / 600, 600) == tick_ns(61, 600) == 101666667
-    assert abs(stamp_ns(62, 0.10312345678901234, 600) - 103123456.8) < 1.0
+    assert stamp_ns(62, 0.10312345678901234, 600) == 103123457
+    assert stamp_ns(61, 0.1016666662, 600) == 101666666  # rounded once
     assert stamp_ns(0, -0.001, 600) == 0
 
 

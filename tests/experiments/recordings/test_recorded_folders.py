@@ -15,7 +15,6 @@ from touchdown.experiments.export.run import export
 from touchdown.experiments.flight.replay import replay, replay_config
 from touchdown.experiments.io.dataclass_json import to_plain
 from touchdown.experiments.io.results import RunResult
-from touchdown.experiments.io.sensor_log import SensorLog
 from touchdown.experiments.io.sensor_log_reader import SensorLogReader
 from touchdown.experiments.io.tum import read_tum
 from touchdown.experiments.recordings.compose import ComposedLog
@@ -30,7 +29,7 @@ from touchdown.sim.frames import Pose, so3_exp
 from support.command import Says
 from support.recorded_data import recorded
 from support.replay_support import make_run
-from support.unwritten import kitti_unwritten
+from support.unwritten import delayed, kitti_unwritten
 
 ALL = SensorNeeds(camera_hz=10, stereo=True, lidar=True)
 
@@ -42,15 +41,10 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def ours(flown: Path) -> Path:
-    return export(flown, "euroc", flown.parent / "ours", ExportOptions()).out
-
-
-@pytest.fixture(scope="module")
-def euroc(ours: Path) -> Path:
+def euroc(flown: Path) -> Path:
     """As of others: without our rig."""
-    folder = ours.with_name("euroc")
-    shutil.copytree(ours, folder, ignore=shutil.ignore_patterns("rig.json"))
+    folder = export(flown, "euroc", flown.parent / "euroc", ExportOptions()).out
+    (folder / "mav0" / "rig.json").unlink()
     return folder
 
 
@@ -76,10 +70,12 @@ def test_an_exported_flight_of_euroc_is_replayed(euroc: Path, tmp_path: Path) ->
 
 
 def test_a_folder_of_euroc_of_ours_gives_the_estimate_of_the_log(
-    flown: Path, ours: Path, tmp_path: Path
+    flown: Path, tmp_path: Path
 ) -> None:
-    """To the digit: of the IMU, of the images, of the rotors and of the rig."""
-    replay(flown, replay_config(flown, "stereo"), tmp_path / "log")
+    """To the digit: of the IMU, of the images and when they arrived, of the rotors, of the rig."""
+    run = delayed(flown, tmp_path / "flown")
+    ours = export(run, "euroc", tmp_path / "euroc", ExportOptions()).out
+    replay(run, replay_config(run, "stereo"), tmp_path / "log")
     asked = ReplayOptions(estimator="stereo", overrides=("profile=ideal",))
     result = replay_recording(ours, tmp_path / "folder", asked)
     log, own = (read_tum(tmp_path / name / "estimate.tum") for name in ("log", "folder"))
@@ -128,15 +124,7 @@ def test_a_sequence_of_ours_gives_the_estimate_of_what_was_written(
 ) -> None:
     """To the digit, the truth too, of a LIDAR whose clock is 0.123457 ms late: points have 32 bits,
     all else what the log has."""
-    run, reader = tmp_path / "flown", SensorLogReader(flown / "sensors.mcap")
-    shutil.copytree(flown, run)
-    log = SensorLog(run / "sensors.mcap", reader.rig, reader.sensed, reader.shared)
-    for obs in reader:
-        late = [dataclasses.replace(scan, start_time_s=scan.start_time_s + 1.23457e-4,
-                                    end_time_s=scan.end_time_s + 1.23457e-4)
-                for scan in obs.scans]  # fmt: skip
-        log.add(dataclasses.replace(obs, scans=tuple(late)))
-    log.close()
+    run = delayed(flown, tmp_path / "flown")
     kitti = export(run, "kitti", tmp_path / "kitti", ExportOptions(poses="truth")).out
     asked, unwritten = ReplayOptions(estimator=estimator, from_s=1.2), kitti_unwritten(run)
     replay_recording(kitti, tmp_path / "folder", asked)
