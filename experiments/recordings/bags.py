@@ -57,7 +57,7 @@ _TYPES = {
 }  # fmt: skip
 _RIGHT, _TRUE = ("right", "cam1", "camera1", "cam_1"), ("truth", "/gt", "vicon", "leica")
 _MEMORY = 4 << 30
-"""bytes that a process may take beyond what it has while a bag is open: chunks say how large they
+"""bytes that a process may take beyond what it has while a bag is read: chunks say how large they
 are, and decompressors do not ask"""
 _FIXED = ("map", "odom", "world", "earth")
 """frames that are no part of a rig"""
@@ -69,10 +69,25 @@ _CHANNELS = {"mono8": 1, "8UC1": 1, "rgb8": 3, "bgr8": 3, "8UC3": 3, "rgba8": 4,
              **dict.fromkeys(_BAYER, 1)}  # fmt: skip
 
 
+@contextmanager
+def _limited() -> Iterator[None]:
+    """Lets the process take `_MEMORY` beyond what it has; MemoryError after that."""
+    before, most = resource.getrlimit(resource.RLIMIT_DATA)
+    info = psutil.Process().memory_info()
+    wanted = getattr(info, "data", info.rss) + _MEMORY
+    least = min(one for one in (wanted, before, most) if one != resource.RLIM_INFINITY)
+    resource.setrlimit(resource.RLIMIT_DATA, (least, most))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_DATA, (before, most))
+
+
 class RosBag:
     """A ``.bag`` file, or a folder with ``metadata.yaml``. The body is the root of the static
     transforms above the IMU, or the IMU."""
 
+    @_limited()
     def __init__(self, path: Path, given: RigParts) -> None:
         """``path``: also a file of the folder. ``given``: what a rig file says; its ``topics``
         choose where a bag has several."""
@@ -99,7 +114,7 @@ class RosBag:
 
         try:
             store = get_typestore(Stores.ROS2_HUMBLE)
-            with _limited(_MEMORY), AnyReader([self.path], default_typestore=store) as reader:
+            with AnyReader([self.path], default_typestore=store) as reader:
                 yield reader
         except (UsageError, GeneratorExit, KeyboardInterrupt):
             raise
@@ -225,6 +240,7 @@ class RosBag:
 
     # ------------------------------------------------------------------------ messages
 
+    @_limited()
     def imu(self) -> ImuTable | None:
         """The samples, in the order of their stamps, each once."""
         rows = []
@@ -240,6 +256,7 @@ class RosBag:
             raise UsageError(f"'{self.path}': the IMU has samples that are no numbers")
         return ImuTable(stamps_ns=stamps, gyro=values[:, :3], force=values[:, 3:])
 
+    @_limited()
     def truth(self) -> PoseTable | None:
         """The poses of the topic of the truth."""
         rows = []
@@ -261,6 +278,7 @@ class RosBag:
         """Not read from bags."""
         return
 
+    @_limited()
     def rotors(self) -> RotorTable | None:
         """The velocities of the joints, which our exports write."""
         rows = [(_stamp(m), np.array(m.velocity)) for m in
@@ -276,6 +294,15 @@ class RosBag:
 
     def frames(self, span: Span = ALL) -> Iterator[RawFrame]:
         """Scans and images in the order of the bag; a message that contradicts itself ends it."""
+        found = self._frames(span)
+        while True:
+            with _limited():
+                frame = next(found, None)
+            if frame is None:
+                return
+            yield frame
+
+    def _frames(self, span: Span) -> Iterator[RawFrame]:
         ours = self.found.whole is not None  # the time of arrival; others' is that of writing
         for name, at_ns, kind, read in self._messages("lidar", "camera", "camera_right"):
             message = read()
@@ -329,17 +356,3 @@ def _picture(message: Any, kind: str) -> Bytes:
         return np.repeat(pixels, 3, axis=2)
     order = [2, 1, 0] if coding in ("bgr8", "8UC3", "bgra8") else [0, 1, 2]
     return np.ascontiguousarray(pixels[..., order])
-
-
-@contextmanager
-def _limited(more: int) -> Iterator[None]:
-    """Lets the process take ``more`` bytes than it has; MemoryError beyond them."""
-    before, most = resource.getrlimit(resource.RLIMIT_DATA)
-    info = psutil.Process().memory_info()
-    wanted = getattr(info, "data", info.rss) + more
-    least = min(one for one in (wanted, before, most) if one != resource.RLIM_INFINITY)
-    resource.setrlimit(resource.RLIMIT_DATA, (least, most))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_DATA, (before, most))

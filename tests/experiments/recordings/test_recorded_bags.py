@@ -16,6 +16,7 @@ from touchdown.experiments.export.run import export
 from touchdown.experiments.flight.replay import replay, replay_config
 from touchdown.experiments.io.sensor_log_reader import SensorLogReader
 from touchdown.experiments.io.tum import read_tum
+from touchdown.experiments.recordings import bags
 from touchdown.experiments.recordings.bags import RosBag, _picture
 from touchdown.experiments.recordings.contract import RawImage, RawScan, RigParts
 from touchdown.experiments.recordings.point_clouds import scan_of_cloud, seconds_after
@@ -266,5 +267,28 @@ def test_a_bag_that_inflates_without_end_is_one_line(
     monkeypatch.setattr("touchdown.experiments.recordings.bags._MEMORY", 64 << 20)
     before = resource.getrlimit(resource.RLIMIT_DATA)
     with pytest.raises(UsageError, match="takes more than 0 GiB to read"):
-        list(RosBag(file, RigParts())._messages("camera"))
+        list(RosBag(file, RigParts()).frames())
     assert resource.getrlimit(resource.RLIMIT_DATA) == before
+
+
+def test_memory_is_limited_while_a_bag_is_read_alone(
+    bag: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Not while an estimator works on what it gave, nor after a reader was left in the middle."""
+    seen, stamp = [], bags._stamp
+
+    def noted(message: Any) -> int:
+        seen.append(resource.getrlimit(resource.RLIMIT_DATA))
+        return stamp(message)
+
+    monkeypatch.setattr(bags, "_stamp", noted)
+    before = resource.getrlimit(resource.RLIMIT_DATA)
+    recording = RosBag(bag, RigParts())
+    frames = recording.frames()
+    for _ in range(3):
+        next(frames)
+        assert resource.getrlimit(resource.RLIMIT_DATA) == before
+    assert recording.imu() is not None and recording.truth() is not None
+    assert recording.rotors() is not None
+    assert resource.getrlimit(resource.RLIMIT_DATA) == before
+    assert before not in seen and len(seen) > 600
