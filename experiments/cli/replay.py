@@ -38,7 +38,10 @@ from touchdown.experiments.terminal import end_progress, make_progress, say
     help=f"{', '.join(ESTIMATORS[:-1])}, or MODULE:FUNCTION.  [livo]",
 )
 @click.option(
-    "--truth", type=PATH, metavar="FILE.tum", help="True poses of the body, on the clock of DATA."
+    "--truth",
+    type=PATH,
+    metavar="FILE.tum|registration",
+    help="True poses of the body, on the clock of DATA; or by registration of its scans.",
 )
 @click.option(
     "--align",

@@ -1,12 +1,16 @@
-"""Registration of two scans, for what an estimator cannot know at the start of a recording."""
+"""Registration of scans, for what an estimator cannot know at the start of a recording, and for a
+truth where there is no better one."""
 
 from __future__ import annotations
+
+from collections.abc import Iterable
 
 import numpy as np
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from touchdown.sim.frames import Pose
+from touchdown.experiments.recordings.contract import PoseTable, RawScan
+from touchdown.sim.frames import Pose, quat_wxyz_from_matrix
 from touchdown.sim.typing import Array, Float32
 
 _VOXEL_M = 0.2
@@ -46,6 +50,42 @@ def registered(
     if fitness < _MIN_FITNESS:
         return None
     return Pose(moved[:3, :3].copy(), moved[:3, 3].copy())
+
+
+_KEY_M = 10.0
+"""way after which a scan is registered with another one"""
+
+
+def registered_path(scans: Iterable[RawScan], body_from_lidar: Pose) -> PoseTable:
+    """Poses of the body, in the frame of the first, at the stamps of scans that are moved to one
+    instant: each scan is registered with the first of all, and every ten metres with the one before
+    in its place. Raises ValueError for a scan that does not fit, and for a sweep in motion."""
+    stamps: list[int] = []
+    poses: list[Pose] = []
+    step = key = Pose.identity()
+    onto = last = np.zeros((0, 3), np.float32)
+    for scan in scans:
+        if scan.offsets_s.any():
+            raise ValueError("its sweeps are not moved to one instant, which registration needs")
+        if poses:
+            if np.linalg.norm(poses[-1].translation - key.translation) > _KEY_M:
+                onto, key = last, poses[-1]
+            found = registered(onto, scan.points, key.inverse() @ poses[-1] @ step)
+            if found is None:
+                raise ValueError(f"the scan at {scan.stamp_ns * 1e-9:.3f} s fits no other")
+            step = poses[-1].inverse() @ key @ found
+        poses.append(poses[-1] @ step if poses else key)
+        stamps.append(scan.stamp_ns)
+        last = scan.points
+        onto = onto if len(onto) else last
+    bodies = [body_from_lidar @ pose @ body_from_lidar.inverse() for pose in poses]
+    if len(bodies) < 2:
+        raise ValueError("fewer than two scans cannot be registered")
+    return PoseTable(
+        stamps_ns=np.array(stamps, np.int64),
+        positions=np.array([pose.translation for pose in bodies]),
+        quats_wxyz=np.array([quat_wxyz_from_matrix(pose.rotation) for pose in bodies]),
+    )
 
 
 _TWIST_REACHES_M = (4.0, 2.0, 1.0, 0.5, 0.3, 0.2)

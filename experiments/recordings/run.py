@@ -26,10 +26,17 @@ from touchdown.experiments.io.untrusted import as_plain_name
 from touchdown.experiments.recordings.bags import RosBag
 from touchdown.experiments.recordings.clock import poses_of, truth_at_ticks
 from touchdown.experiments.recordings.compose import ComposedLog
-from touchdown.experiments.recordings.contract import PoseTable, Recording, RigParts, Span
+from touchdown.experiments.recordings.contract import (
+    PoseTable,
+    RawScan,
+    Recording,
+    RigParts,
+    Span,
+)
 from touchdown.experiments.recordings.folders import EurocFolder, KittiFolder
 from touchdown.experiments.recordings.landing_site import LandingSite
 from touchdown.experiments.recordings.px4_logs import Px4Log
+from touchdown.experiments.recordings.registration import registered_path
 from touchdown.experiments.recordings.rig_files import read_rig
 from touchdown.sim.api import Observation, SimParams
 from touchdown.sim.frames import Pose, matrix_from_quat_wxyz
@@ -43,6 +50,8 @@ _ALIGNED = {
 }
 _ROWS_HZ = 50
 _DAY_S = 86_400.0
+REGISTRATION = Path("registration")
+"""asks for a truth by the registration of the scans with one another"""
 _WITHOUT_SCANS = ("gps", "optical_flow", "hybrid_flow", "stereo")
 """estimators that no scan reaches"""
 _SEES = ("livo", "zou2024", "optical_flow", "hybrid_flow", "stereo_vo")
@@ -60,7 +69,7 @@ class ReplayOptions:
     estimator: str | None = None
     rig: Path | None = None
     truth: Path | None = None
-    """TUM file, times on the clock of the recording"""
+    """TUM file, times on the clock of the recording; or `REGISTRATION`"""
     align: str = "origin"
     """how truth and estimate are brought together: by the first pose, or over all positions"""
     moving: bool = False
@@ -110,11 +119,14 @@ def open_run(data: Path, options: ReplayOptions) -> RecordedRun:
     parts = recording.found.with_more(given)
     if options.moving:
         parts = dataclasses.replace(parts, moving=True)
-    truth = recording.truth() if options.truth is None else _tum(options.truth)
     begins = recording.begins_ns()
     span = Span(*(
         round(begins + 1e9 * min(at, _DAY_S)) for at in (options.from_s, options.until_s)
     ))  # fmt: skip
+    if options.truth == REGISTRATION:
+        truth: PoseTable | None = _registered(recording, parts, span)
+    else:
+        truth = recording.truth() if options.truth is None else _tum(options.truth)
     log = ComposedLog(
         recording, parts, span, None if truth is None else int(truth.stamps_ns[0]),
         pair_as_scan=options.estimator not in _WITHOUT_SCANS,
@@ -148,6 +160,17 @@ def _config(data: Path, options: ReplayOptions, log: ComposedLog) -> Config:
     return load_config(
         None, (*given, *options.overrides), scene=_name(data), estimator=options.estimator, seed=0
     )
+
+
+def _registered(recording: Recording, parts: RigParts, span: Span) -> PoseTable:
+    scans = (one for one in recording.frames(span) if isinstance(one, RawScan))
+    mount = parts.whole.body_from_lidar if parts.whole else parts.body_from_lidar
+    try:
+        found = registered_path(scans, mount or Pose.identity())
+    except ValueError as error:
+        raise UsageError(f"'{recording.path}': {error}; --from and --until choose scans") from error
+    late_ns = round(1e9 * parts.lidar_offset_s)
+    return dataclasses.replace(found, stamps_ns=found.stamps_ns + late_ns)
 
 
 def _tum(file: Path) -> PoseTable:
@@ -210,6 +233,8 @@ class RecordedRun(LoggedRun):
         while self.written:
             self.written.pop().close()
         truth, notes = dict(self.truth), self.log.notes()
+        if self.options.truth == REGISTRATION:
+            notes.append("the truth is the registration of the scans that were replayed")
         notes += [site.write(folder) for site in self.maps]
         if (ahead := self.found.get(_CLOCK)) is not None:
             notes.append(
