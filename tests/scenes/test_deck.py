@@ -13,7 +13,7 @@ from touchdown.scenes.api import CARRIER, DeckParams, Scene, Sway
 from touchdown.scenes.authoring.sea import SEA_STATES, hull_motion, wave_amplitudes
 from touchdown.scenes.compose import load_scene
 from touchdown.sim.api import Command
-from touchdown.sim.frames import tilt_from_rotation
+from touchdown.sim.frames import matrix_from_quat_wxyz, tilt_from_rotation
 from touchdown.sim.moving import MovingBodies
 
 
@@ -83,6 +83,24 @@ def test_sensors_see_the_deck_and_touch_what_carries_it(boat: Scene) -> None:
     assert not touchable[model.geom_bodyid == seen].any()
     assert touchable[model.geom_bodyid == carrier].all()
     assert (model.geom_group[model.geom_bodyid == carrier] >= 3).all()
+
+
+@pytest.mark.parametrize("sea_state", [3, 6])
+def test_water_never_covers_a_deck(sea_state: int) -> None:
+    """What stands still lies as low as the deepest trough, and in calm seas where it did."""
+    calm, scene = (load_scene("deck", 3, dials=DeckParams(sea_state=n)) for n in (0, sea_state))
+    middles = [one.model.geom("water").pos[2] for one in (calm, scene)]
+    sheet = -0.45 + middles[1] - middles[0]
+    track = MovingBodies(scene).tracks(np.arange(0.0, 300.0, 0.1))["deck"]
+    plate = scene.model.geom("deck_plate")
+    signs = np.array([[x, y, 1.0] for x in (-1, 1) for y in (-1, 1)])
+    corners = plate.pos + signs * plate.size
+    lowest = min(
+        (matrix_from_quat_wxyz(quat) @ corners.T)[2].min() + place[2]
+        for place, quat in zip(track.positions, track.quats_wxyz, strict=True)
+    )
+    assert lowest > sheet - 0.05
+    assert (abs(sheet + 0.45) < 1e-9) == (sea_state == 3) and sheet > -5.0
 
 
 def test_a_tag_is_printed_in_the_middle_of_the_deck() -> None:

@@ -9,7 +9,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from touchdown.scenes.api import Array, DeckParams, Image, MovingBody, Surface
+from touchdown.scenes.api import Array, DeckParams, Image, MovingBody, Surface, Sway
 from touchdown.scenes.authoring import water
 from touchdown.scenes.authoring.builder import GEOM, SceneBuilder, fill_texture, quat_z
 from touchdown.scenes.authoring.draft import SceneDraft
@@ -96,14 +96,36 @@ def generate(seed: int, params: DeckParams) -> SceneDraft:
         body_name=NAME, path_world=course, yaw=heading, carries="deck_plate", sway=sway,
         times_s=np.array([0.0, _COURSE_S]) if speed else None,
     )  # fmt: skip
-    if afloat:
+    if sway is not None:
+        trough = _trough_m(sway, carrier)
+        if trough:
+            _add_draught(builder, body, carrier, trough)
         _spread(builder, "water", Surface(land_class="water", reflectivity=water.WATER_REFLECTIVITY,
-                water=True), _water(builder), level)  # fmt: skip
+                water=True), _water(builder), level - trough)  # fmt: skip
     else:
         _spread(builder, "lawn", MEADOW, _meadow(rng), level)
         _lay_road(builder, middle, heading)
     plan = SurveyFrame(takeoff_xy_m=np.zeros(2), takeoff_yaw=yaw)
     return finish(plan, builder, None, half_m=HALF_M, moving=(moving,))
+
+
+def _trough_m(sway: Sway, carrier: Carrier) -> float:
+    """How far below its mean level the water has to stand still, so that it never covers the deck:
+    its waves are not drawn."""
+    heave, roll, pitch = sway.at(np.arange(0.0, _COURSE_S, 0.1)).T
+    length, width = carrier.deck_m
+    reach = 0.5 * length + abs(carrier.deck_x_m)
+    lowest = heave - 0.5 * width * np.abs(roll) - reach * np.abs(pitch)
+    return max(0.0, -carrier.top_m - float(lowest.min()))
+
+
+def _add_draught(builder: SceneBuilder, body: Any, carrier: Carrier, trough_m: float) -> None:
+    """Adds what hull and pontoon stand on above water that has fallen by ``trough_m``."""
+    length, width = carrier.hull_m
+    builder.geom("hull", PAINTED, body, box=[0.37 * length, 0.45 * width, trough_m], rgba=_BLACK,
+                 pos=[-0.1 * length, 0.0, -0.4 - trough_m], contype=0)  # fmt: skip
+    half = 0.5 * trough_m
+    builder.geom("pier", CONCRETE, box=[2.6, 2.6, half], pos=[0.0, 0.0, -0.9 - half], rgba=_GREY)
 
 
 def _course(middle: Array, heading: float, speed_mps: float, passes_s: float) -> Array:
