@@ -13,6 +13,7 @@ _DRIFT = 0.03
 _HEAVE_MPS, _TILT_RADPS = 0.4, 0.07
 """standard deviations of the rates of heave and slope that waves are expected to make"""
 _LEVEL_SIGMA_M, _SLOPE_SIGMA = 0.02, 0.01
+_AT_REST = np.zeros(2)
 _FIRST_MPS = 3.0
 """standard deviation of the speed of a deck that was just found"""
 _GATE = 5.0
@@ -54,13 +55,17 @@ class DeckFilter:
     """The site of a deck in the odom frame. Measurements come in any order within a fraction of a
     second; the filter stands at the newest."""
 
-    def __init__(self, time_s: float, site_odom: Array, slopes: Array) -> None:
+    def __init__(
+        self, time_s: float, site_odom: Array, slopes: Array, velocity: Array = _AT_REST
+    ) -> None:
+        """``velocity`` (2,): across, as far as it is known."""
         self.time_s = self.seen_s = time_s
         course = np.array([0.0, _ACCELERATION**2])
         self._xy = [
-            Linear(np.array([site_odom[axis], 0.0]), np.array([0.3, _FIRST_MPS]), _COURSE, course)
+            Linear(np.array([site_odom[axis], velocity[axis]]),
+                   np.array([0.3, _FIRST_MPS]), _COURSE, course)
             for axis in (0, 1)
-        ]
+        ]  # fmt: skip
         dynamics = np.zeros((4, 4))
         dynamics[:2, :2], dynamics[2:, 2:] = _COURSE, SWAY
         noise = np.array([0.0, _DRIFT**2, 0.0, _sway_noise(_HEAVE_MPS)])

@@ -17,7 +17,7 @@ import numpy as np
 from touchdown.estimator.api import Estimate, Estimator, PoseTrack, spare_sensors
 from touchdown.estimator.deck.features import DeckFeatures
 from touchdown.estimator.deck.filters import DeckFilter
-from touchdown.estimator.deck.surfaces import CELL_M, Surface, fit_plane, missing_part, surfaces
+from touchdown.estimator.deck.surfaces import CELL_M, Surface, fit_plane, surfaces, thinning_part
 from touchdown.estimator.deck.tag import TagReader
 from touchdown.estimator.filtering.camera_model import Undistorter, at_middle_row
 from touchdown.estimator.filtering.deskew import deskewed_points, screen_scan
@@ -36,8 +36,8 @@ _CAMERA_HZ = 10
 _FROM_START_M = 9.0
 """surfaces nearer to the take-off spot are part of it"""
 _AREA_M2 = (5.0, 200.0)
-_MAX_SLOPE, _MISSING = 0.3, 0.05
-"""steepest deck, and largest part of missing pulses, as over water"""
+_MAX_SLOPE, _THINNING = 0.3, 0.12
+"""steepest deck, and largest density of returns around it, as around a glint on water"""
 _CUT_M2, _CUT_NEAR_M = 1.0, 15.0
 """another surface so large and so near that goes on beyond the view may be a part of the same hull,
 and the deck yet to come"""
@@ -49,8 +49,12 @@ later, and way from scan to scan"""
 _EDGE, _EDGE_PULSES = 0.04, 0.005
 """width of the edge of the field of view, as part of it, where pulses are few; the part of them
 beyond it"""
+_LARGER = 1.3
+"""a surface that is so much larger is not the deck"""
 _POINTS = 6000
-_ABOVE_M, _AROUND_M = 0.5, 1.0
+_ABOVE_M, _AROUND_M = 0.5, 3.0
+_ASTRAY_M = 1.0
+"""distance of the middle of a whole deck from its site at which corners have led astray"""
 _FEWEST = 30
 _MIDDLE_SIGMA_M = 0.12
 _RANGE_M = 4.0
@@ -77,7 +81,8 @@ class DeckOdometry:
         self._undistort = Undistorter(rig)
         self._start = rig.world_from_body_start.translation
         self._limits: Array | None = None
-        self._seen: list[Surface] = []
+        self._seen: list[tuple[float, Surface]] = []
+        """when, and what may be the deck, in the last scans"""
         self._radius = self._area = 0.0
         self._off_m = _ABOVE_M
         """distance from its plane within which returns are of the deck"""
@@ -85,8 +90,8 @@ class DeckOdometry:
         self._features: DeckFeatures | None = None
         self._corners = 0
         self._tag = TagReader(self._undistort.rig.camera, tag_m) if tag_m else None
-        self._tags: list[Array] = []
-        """(3,) the last places of the tag, before its deck is followed"""
+        self._tags: list[tuple[float, Array]] = []
+        """when and where, (3,), the tag was last, before its deck is followed"""
 
     def update(self, obs: Observation) -> Estimate:
         """As `Estimator.update`."""
@@ -129,12 +134,10 @@ class DeckOdometry:
         left_s = scan.end_time_s - scan.start_time_s - scan.time_offsets[pulses]
         edge = self._at_edge(scan)[pulses]
         if self._filter is None and self._tag is None:
-            sensor = path[-1].pose @ self._rig.body_from_lidar
-            lost = scan.directions[scan.ranges == 0.0] @ sensor.rotation.T
             found = [
                 one
                 for one in surfaces(points, edge)
-                if missing_part(one, sensor.translation, lost) < _MISSING
+                if one.area_m2 > _AREA_M2[1] or thinning_part(one, points) < _THINNING
             ]
             self._look_for(found, estimate, scan.end_time_s, events)
         elif self._filter is not None:
@@ -170,22 +173,34 @@ class DeckOdometry:
             cut_short = any(np.linalg.norm(one - middle) < _CUT_NEAR_M for one in cut)
             if np.hypot(*plane.slopes) > _MAX_SLOPE or cut_short:
                 continue
-            areas = [one.area_m2 for one in self._seen]
-            last = self._seen[-1].cells.mean(axis=0) if self._seen else middle
+            areas = [one.area_m2 for _, one in self._seen]
+            last = self._seen[-1][1].cells.mean(axis=0) if self._seen else middle
             still = all(abs(found.area_m2 / area - 1.0) < _STILL_AREA for area in areas)
             same = still and np.linalg.norm(middle - last) < _SAME_M
-            self._seen = [*self._seen[1 - _SEEN_TIMES :], found] if same else [found]
+            earlier = self._seen[1 - _SEEN_TIMES :] if same else []
+            self._seen = [*earlier, (time_s, found)]
             if len(self._seen) >= _SEEN_TIMES:
-                site = np.array([*middle[:2], plane.height])
-                cells = found.cells[:, :2] - middle[:2]
-                self._radius, self._area = np.linalg.norm(cells, axis=1).max(), found.area_m2
-                self._follow(cells, site, plane.slopes, time_s)
+                self._follow_seen(np.array([*middle[:2], plane.height]), plane.slopes)
                 events.append(f"deck of {found.area_m2:.0f} m2 found")
             return
         self._seen = []
 
-    def _follow(self, cells: Array, site: Array, slopes: Array, time_s: float) -> None:
-        self._filter = DeckFilter(time_s, site, slopes)
+    def _follow_seen(self, site: Array, slopes: Array) -> None:
+        """Follows what the last scans have seen."""
+        found = self._seen[-1][1]
+        cells = found.cells[:, :2] - site[:2]
+        self._radius, self._area = float(np.linalg.norm(cells, axis=1).max()), found.area_m2
+        sightings = [(seen_s, one.cells.mean(axis=0)) for seen_s, one in self._seen]
+        self._follow(cells, site, slopes, sightings)
+        self._seen = []
+
+    def _follow(
+        self, cells: Array, site: Array, slopes: Array, sightings: list[tuple[float, Array]]
+    ) -> None:
+        """``sightings``: when and where, (3,), its middle was, up to now."""
+        times, places = zip(*sightings, strict=True)
+        course = np.polynomial.polynomial.polyfit(times, np.array(places)[:, :2], 1)[1]
+        self._filter = DeckFilter(times[-1], site, slopes, course)
         self._features = DeckFeatures(self._undistort.rig.camera, cells)
 
     def _measure(self, deck: DeckFilter, points: Array, edge: Mask, time_s: float) -> None:
@@ -201,13 +216,22 @@ class DeckOdometry:
         if not seen:
             return
         largest = seen[0]
+        if largest.area_m2 > _LARGER * self._area:
+            return  # water or ground that it has drifted over
         plane = fit_plane(largest.cells if len(largest.cells) > 60 else points, site[:2])
         deck.see_height(time_s, plane.height)
         self._off_m = _ABOVE_M
         deck.see_slopes(time_s, plane.slopes, plane.slope_sigma)
         whole = abs(largest.area_m2 / self._area - 1.0) < _SAME_AREA
         if whole and not largest.clipped:
-            deck.see_place(time_s, largest.cells[:, :2].mean(axis=0), _MIDDLE_SIGMA_M)
+            middle = largest.cells.mean(axis=0)
+            if np.linalg.norm(middle[:2] - site[:2]) < _ASTRAY_M:
+                self._seen = []
+                deck.see_place(time_s, middle[:2], _MIDDLE_SIGMA_M)
+                return
+            self._seen = [*self._seen[1 - _SEEN_TIMES :], (time_s, largest)]
+            if len(self._seen) >= _SEEN_TIMES:
+                self._follow_seen(np.array([*middle[:2], plane.height]), plane.slopes)
 
     def _take_range(self, deck: DeckFilter, sample: RangefinderSample) -> None:
         pose, sheet = self._poses.at(sample.time_s), self._rig.nav.rangefinder
@@ -239,12 +263,13 @@ class DeckOdometry:
             way = float(normal @ (site - camera.translation)) / float(normal @ beam)
             self._filter.see_place(time_s, (camera.translation + way * beam)[:2], _TAG_SIGMA_M)
         else:
-            same = self._tags and np.linalg.norm(tag - self._tags[-1]) < _TAG_M
-            self._tags = [*self._tags, tag] if same else [tag]
+            same = self._tags and np.linalg.norm(tag - self._tags[-1][1]) < _TAG_M
+            self._tags = [*self._tags, (time_s, tag)] if same else [(time_s, tag)]
             if len(self._tags) >= _TAG_TIMES:
                 side = CELL_M * np.arange(-_TAG_CELLS, _TAG_CELLS + 1)
                 cells = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
-                self._radius, self._area, self._tags = _TAG_DECK_M, np.inf, []
+                self._radius, self._area = _TAG_DECK_M, np.inf
                 self._off_m = _TAG_OFF_M
-                self._follow(cells, tag, np.zeros(2), time_s)
+                self._follow(cells, tag, np.zeros(2), self._tags)
+                self._tags = []
                 events.append("tag of a deck found")

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
 
 from touchdown.sim.typing import Array, Indices, Mask
 
@@ -14,6 +15,8 @@ CELL_M = 0.45
 _SPREAD_M, _STEP_M = 0.15, 0.10
 """largest spread of the heights in a cell, and step to the next"""
 _FEWEST = 2
+_RING_M = 2.0
+"""width of what is looked at around a surface"""
 
 
 class Surface(NamedTuple):
@@ -67,21 +70,19 @@ def surfaces(points: Array, at_edge: Mask) -> list[Surface]:
     ]
 
 
-def missing_part(surface: Surface, origin: Array, lost: Array) -> float:
-    """Part of the pulses without a return, as water leaves many, among those that should have met
-    the inner cells of ``surface``: of beams (N, 3) from ``origin`` (3,)."""
-    beams = lost[lost[:, 2] < -0.3]
-    met = origin[:2] + (surface.height_m - origin[2]) / beams[:, 2:] * beams[:, :2]
-    cells = _cells_of(surface.cells)
-    beside = ((1, 0), (-1, 0), (0, 1), (0, -1))
-    inner = {(i, j) for i, j in cells if all((i + x, j + y) in cells for x, y in beside)}
-    inside = sum(cell in inner for cell in map(tuple, np.floor(met / CELL_M).astype(int).tolist()))
-    returns = surface.returns * len(inner) / len(cells)
-    return inside / max(inside + returns, 1.0)
-
-
-def _cells_of(points: Array) -> set[tuple[int, int]]:
-    return {(i, j) for i, j in np.floor(points[:, :2] / CELL_M).astype(int).tolist()}
+def thinning_part(surface: Surface, points: Array) -> float:
+    """Density of the returns around ``surface`` at its height, over that on it: 0 where it ends,
+    more where returns only become rare, as those of a glint on water do. ``points`` (N, 3)."""
+    cells = surface.cells
+    low, high = cells[:, :2].min(axis=0) - _RING_M, cells[:, :2].max(axis=0) + _RING_M
+    plane = fit_plane(cells, cells[:, :2].mean(axis=0))
+    rise = points[:, 2] - plane.height - (points[:, :2] - cells[:, :2].mean(axis=0)) @ plane.slopes
+    level = (np.abs(rise) < _STEP_M) & ((points[:, :2] > low) & (points[:, :2] < high)).all(axis=1)
+    away, _ = cKDTree(cells[:, :2]).query(points[level, :2], distance_upper_bound=_RING_M)
+    around = np.isfinite(away) & (away > 1.5 * CELL_M)
+    radius = np.sqrt(surface.area_m2 / np.pi)
+    ring = np.pi * ((radius + _RING_M) ** 2 - (radius + CELL_M) ** 2)
+    return float(around.sum() / ring * surface.area_m2 / surface.returns)
 
 
 def _neighbours(key: Indices, height: Array, offset: int) -> Indices:

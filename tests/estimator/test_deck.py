@@ -11,7 +11,7 @@ from touchdown.estimator.api import SWAY, Estimate, swayed
 from touchdown.estimator.deck.features import DeckFeatures
 from touchdown.estimator.deck.filters import DeckFilter
 from touchdown.estimator.deck.odometry import DeckOdometry
-from touchdown.estimator.deck.surfaces import fit_plane, missing_part, surfaces
+from touchdown.estimator.deck.surfaces import fit_plane, surfaces, thinning_part
 from touchdown.sim.api import (
     CameraImage,
     CameraIntrinsics,
@@ -46,13 +46,17 @@ def test_a_step_parts_surfaces_and_the_edge_of_view_clips_them() -> None:
     assert second.height_m == pytest.approx(2.0, abs=0.02)
 
 
-def test_pulses_without_a_return_tell_water() -> None:
-    (found,) = surfaces(plate((8.0, 5.0), np.zeros(3), 3000), np.zeros(3000, bool))
-    aims = plate((8.0, 5.0), np.zeros(3), 1000) - [0.0, 0.0, 20.0]
-    beside = aims + [50.0, 0.0, 0.0]
-    lost = np.concatenate([aims, beside])
-    lost /= np.linalg.norm(lost, axis=1, keepdims=True)
-    assert missing_part(found, np.array([0.0, 0.0, 20.0]), lost) == pytest.approx(0.25, abs=0.03)
+def test_a_glint_on_water_thins_out_and_a_deck_ends() -> None:
+    below = plate((3.0, 3.0), np.array([6.0, 0.0, -1.2]), 700)
+    deck = np.concatenate([plate((8.0, 5.0), np.zeros(3), 3000), below])
+    first = surfaces(deck, np.zeros(len(deck), bool))[0]
+    assert first.area_m2 == pytest.approx(40.0, rel=0.2)
+    assert thinning_part(first, deck) < 0.05
+    water = np.random.default_rng(3).uniform(-7.0, 7.0, (4000, 3)) * [1.0, 1.0, 0.005]
+    returned = 1.0 / (1.0 + (np.linalg.norm(water[:, :2], axis=1) / 2.0) ** 2)
+    glint = water[np.random.default_rng(4).random(4000) < returned]
+    found = surfaces(glint, np.zeros(len(glint), bool))[0]
+    assert thinning_part(found, glint) > 0.2
 
 
 def test_a_plane_is_fitted_beside_what_stands_on_it() -> None:
@@ -184,6 +188,7 @@ def test_the_deck_is_the_largest_surface_once_all_of_it_is_in_view() -> None:
         if estimate.deck is not None and found_s is None:
             found_s = time_s
             assert estimate.deck.site_odom == pytest.approx(middle, abs=0.3)
+            assert estimate.deck.velocity_odom == pytest.approx([0.0, 3.0, 0.0], abs=1.0)
         seen.append((time_s, estimate.deck, len(inner.told[-1].scans), middle))
     assert found_s is not None and 3.5 < found_s < 7.0
     at_ten = next(one for one in seen if one[0] >= 10.0)
@@ -193,6 +198,37 @@ def test_the_deck_is_the_largest_surface_once_all_of_it_is_in_view() -> None:
     told = [time_s for time_s, _, scans, _ in seen if scans]
     assert not [time_s for time_s in told if found_s < time_s < 12.0] and told[-1] > 13.0
     assert seen[-1][1] is None
+
+
+@pytest.mark.parametrize("swapped", [False, True])
+def test_a_deck_that_is_led_astray_comes_back_and_water_is_none(swapped: bool) -> None:
+    """Without corners, its site is shifted once; or level water is where the deck was."""
+    rig, inner = make_rig(), Still()
+    rig = dataclasses.replace(
+        rig, world_from_body_start=Pose(np.eye(3), np.array([30.0, 30.0, 0.0]))
+    )
+    odometry, found_s = DeckOdometry(inner, rig), None
+    lidar = Pose(np.eye(3), np.array([0.0, 0.0, 25.0])) @ rig.body_from_lidar
+    for tick in range(60, 600 * 8, 60):
+        time_s = tick / 600.0
+        middle = np.array([-1.0 + 0.5 * time_s, 0.0, 1.0])
+        late = swapped and found_s is not None and time_s > found_s + 1.0
+        size = (40.0, 40.0) if late else (5.0, 8.0)
+        for earlier in range(tick - 57, tick, 3):
+            odometry.update(make_obs(earlier))
+        scan = scan_of(tick, lidar, [(middle, size)])
+        deck = odometry.update(make_obs(tick, scans=(scan,))).deck
+        if deck is not None and found_s is None:
+            found_s = time_s
+            if not swapped:
+                assert odometry._filter is not None
+                for axis in odometry._filter._xy:
+                    axis.state[0] += 2.0
+                    axis.covariance *= 1e-3
+    assert found_s is not None and found_s < 2.0
+    assert (deck is None) == swapped
+    if deck is not None:
+        np.testing.assert_allclose(deck.site_odom, middle, atol=0.3)
 
 
 TAG_M = 1.5
