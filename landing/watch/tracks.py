@@ -32,8 +32,10 @@ _FORGET_S, _LOST_S = 4.0, 0.35
 """time for which something is kept that is out of sight, and that should be seen"""
 _FIT_S, _FIT_SPAN_S, _FIT_SCANS = 1.2, 0.35, 4
 _MOVES_MPS, _MOVED_M = 0.35, 0.25
+_LOOSE_M = 0.2
+"""root mean square of the distances from one straight motion up to which it is one thing"""
 _RUNS_MPS, _RAN_M, _OFF_M = 2.0, 2.0, 0.08
-"""speed and way of what is fast, and root mean square of its distances from one straight motion"""
+"""speed and way of what is fast, and the same of it"""
 
 
 class Thing(NamedTuple):
@@ -162,6 +164,7 @@ class Track:
         places = np.array([xy for _, xy in near])
         line = np.polynomial.polynomial.polyfit(times, places, 1)
         slope, off = line[1], places - np.polynomial.polynomial.polyval(times, line).T
+        spread = np.sqrt((off**2).sum(axis=1).mean())
         half = len(near) // 2
         moved = np.linalg.norm(places[half:].mean(axis=0) - places[:half].mean(axis=0))
         # What comes into view seems to move too; but it has not been seen free before.
@@ -170,8 +173,8 @@ class Track:
         # one thing do not lie on a line in equal steps.
         speed = np.hypot(*slope)
         runs = speed > _RUNS_MPS and speed * -times[0] > _RAN_M
-        runs = runs and np.sqrt((off**2).sum(axis=1).mean()) < _OFF_M
-        self.velocity = slope if moves or runs else np.zeros(2)
+        one = (moves and spread < _LOOSE_M) or (runs and spread < _OFF_M)
+        self.velocity = slope if one else np.zeros(2)
 
 
 class Tracks:

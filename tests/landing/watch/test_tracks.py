@@ -13,11 +13,11 @@ _UNKNOWN = np.full((SIZE, SIZE), np.nan, np.float32)
 UNSEEN = Layers(_NONE, _NONE, _UNKNOWN, _UNKNOWN, _UNKNOWN, _UNKNOWN)
 
 
-def velocity_of(path: Array) -> Array:
+def velocity_of(path: Array, appeared: float = 0.0) -> Array:
     tracks = Tracks()
     for i, at in enumerate(path):
         cells = at + np.array([[0.0, 0.0], [0.2, 0.0], [0.4, 0.0]])
-        thing = Thing(at, cells, top=1.6, tops=np.full(3, 1.6), height_m=1.6, appeared=0.0)
+        thing = Thing(at, cells, top=1.6, tops=np.full(3, 1.6), height_m=1.6, appeared=appeared)
         (track,) = tracks.update([thing], i * SCAN_S, UNSEEN, np.zeros(2))
     return track.velocity
 
@@ -29,6 +29,13 @@ def test_who_is_fast_moves_wherever_he_comes_from(mps: float, off_m: float, runs
     path = np.column_stack([14.0 - mps * SCAN_S * np.arange(13), np.full(13, 10.0)])
     path[1::2, 1] += off_m
     np.testing.assert_allclose(velocity_of(path), [-mps, 0.0] if runs else [0.0, 0.0], atol=1e-6)
+
+
+@pytest.mark.parametrize(("off_m", "moves"), [(0.0, True), (0.5, False)])
+def test_who_walks_goes_straight_on(off_m: float, moves: bool) -> None:
+    path = np.column_stack([14.0 - SCAN_S * np.arange(13), np.full(13, 10.0)])
+    path[1::2, 1] += off_m
+    assert velocity_of(path, appeared=1.0)[0] == pytest.approx(-1.0 if moves else 0.0, abs=1e-6)
 
 
 def test_a_short_way_is_no_run() -> None:
