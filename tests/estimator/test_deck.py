@@ -231,6 +231,26 @@ def test_a_deck_that_is_led_astray_comes_back_and_water_is_none(swapped: bool) -
         np.testing.assert_allclose(deck.site_odom, middle, atol=0.3)
 
 
+def test_a_glint_is_not_followed() -> None:
+    rig = dataclasses.replace(
+        make_rig(), world_from_body_start=Pose(np.eye(3), np.array([30.0, 30.0, 0.0]))
+    )
+    odometry = DeckOdometry(Still(), rig)
+    lidar = Pose(np.eye(3), np.array([0.0, 0.0, 25.0])) @ rig.body_from_lidar
+    sheet = scan_of(60, lidar, [(np.zeros(3), (60.0, 60.0))])
+    aside = np.linalg.norm(sheet.directions[:, :2], axis=1) * 25.0
+    lost = RNG.random(len(aside)) > 1.0 / (1.0 + (aside / 1.5) ** 2)
+    ranges = np.where(lost, 0.0, sheet.ranges).astype(np.float32)
+    for tick in range(60, 600 * 2, 60):
+        for earlier in range(tick - 57, tick, 3):
+            odometry.update(make_obs(earlier))
+        glint = dataclasses.replace(
+            sheet, ranges=ranges, start_tick=tick - 60, end_tick=tick,
+            start_time_s=(tick - 60) / 600.0, end_time_s=tick / 600.0,
+        )  # fmt: skip
+        assert odometry.update(make_obs(tick, scans=(glint,))).deck is None
+
+
 TAG_M = 1.5
 
 
