@@ -19,8 +19,8 @@ _ERROR = 25.0
 """largest mean difference of grey levels of a corner that was found again"""
 _APART_M, _APART = 0.06, 0.02
 """largest distance of a corner from where the others place it, and its part with the range"""
-_SIGMA_M, _SIGMA = 0.02, 0.003
-"""standard deviation of a place by corners, and its part with the range"""
+_SIGMA_M, _SIGMA = 0.02, 0.01
+"""standard deviation of a place by corners, and its part with the range: half a degree of tilt"""
 _SETTLE = 0.1
 """part by which places on the deck follow what scans say of the site"""
 _LEAST = 6

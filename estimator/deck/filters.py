@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from touchdown.estimator.api import SWAY, Array, DeckTrack, swayed
+from touchdown.estimator.deck.surfaces import PlaneFit
 
 _ACCELERATION = 0.4
 """m/s^2, root Hz: of the site across the sea, by gusts on the estimate and by roll"""
@@ -106,11 +107,17 @@ class DeckFilter:
         if self._z.correct(height + late * self.velocity[2], row, sigma_m):
             self.seen_s = self.time_s
 
-    def see_slopes(self, time_s: float, slopes: Array, sigma: float) -> None:
-        """Takes the slopes (2,)."""
-        late, sure = self._advance(time_s), max(sigma, _SLOPE_SIGMA)
-        for one, slope in zip(self._slopes, slopes, strict=True):
+    def see_plane(self, time_s: float, plane: PlaneFit) -> None:
+        """Takes a plane: its slopes, and its height where it was seen, from which tilt leads to the
+        site."""
+        late, sure = self._advance(time_s), max(plane.slope_sigma, _SLOPE_SIGMA)
+        for one, slope in zip(self._slopes, plane.slopes, strict=True):
             one.correct(slope + late * one.state[1], np.array([1.0, 0.0]), sure)
+        site, slopes = self.surface(time_s)
+        way = site[:2] - plane.middle[:2]
+        tilt = np.sqrt(max(axis.covariance[0, 0] for axis in self._slopes))
+        sigma = float(np.hypot(_LEVEL_SIGMA_M, tilt * np.linalg.norm(way)))
+        self.see_height(time_s, float(plane.middle[2] + way @ slopes), sigma)
 
     def see_place(self, time_s: float, xy: Array, sigma_m: float) -> None:
         """Takes the place of the site (2,)."""

@@ -219,9 +219,8 @@ class DeckOdometry:
         if largest.area_m2 > _LARGER * self._area:
             return  # water or ground that it has drifted over
         plane = fit_plane(largest.cells if len(largest.cells) > 60 else points, site[:2])
-        deck.see_height(time_s, plane.height)
+        deck.see_plane(time_s, plane)
         self._off_m = _ABOVE_M
-        deck.see_slopes(time_s, plane.slopes, plane.slope_sigma)
         whole = abs(largest.area_m2 / self._area - 1.0) < _SAME_AREA
         if whole and not largest.clipped:
             middle = largest.cells.mean(axis=0)

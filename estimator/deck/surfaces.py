@@ -100,8 +100,8 @@ class PlaneFit(NamedTuple):
     slopes: Array
     """(2,)"""
     slope_sigma: float
-    used: Mask
-    """(N,) points on it"""
+    middle: Array
+    """(3,) mean of the points on it"""
 
 
 def fit_plane(points: Array, at_xy: Array, rounds: int = 3, within_m: float = 0.06) -> PlaneFit:
@@ -117,4 +117,5 @@ def fit_plane(points: Array, at_xy: Array, rounds: int = 3, within_m: float = 0.
             break
         used = kept
     narrow = np.sqrt(np.linalg.eigvalsh(np.cov(local[used, 1:].T))[0]) if used.sum() > 3 else 0.0
-    return PlaneFit(float(solution[0]), solution[1:], 0.01 / max(float(narrow), 1e-3), used)
+    sigma = 0.01 / max(float(narrow), 1e-3)
+    return PlaneFit(float(solution[0]), solution[1:], sigma, points[used].mean(axis=0))

@@ -11,7 +11,7 @@ from touchdown.estimator.api import SWAY, Estimate, swayed
 from touchdown.estimator.deck.features import DeckFeatures
 from touchdown.estimator.deck.filters import DeckFilter
 from touchdown.estimator.deck.odometry import DeckOdometry
-from touchdown.estimator.deck.surfaces import fit_plane, surfaces, thinning_part
+from touchdown.estimator.deck.surfaces import PlaneFit, fit_plane, surfaces, thinning_part
 from touchdown.sim.api import (
     CameraImage,
     CameraIntrinsics,
@@ -83,8 +83,8 @@ def test_the_filter_finds_course_heave_and_tilt() -> None:
     deck = DeckFilter(0.0, site_at(0.0), np.zeros(2))
     for time_s in np.arange(0.1, 20.0, 0.1):
         noisy = site_at(time_s) + RNG.normal(0.0, 0.02, 3)
-        deck.see_height(time_s, noisy[2])
-        deck.see_slopes(time_s, np.array([0.05 * np.sin(time_s), 0.0]), 0.01)
+        slopes = np.array([0.05 * np.sin(time_s), 0.0])
+        deck.see_plane(time_s, PlaneFit(noisy[2], slopes, 0.01, noisy))
         late = time_s - 0.04
         deck.see_place(late, site_at(late)[:2] + RNG.normal(0.0, 0.02, 2), 0.02)
     track = deck.track(time_s + 0.1)
@@ -98,6 +98,23 @@ def test_the_filter_finds_course_heave_and_tilt() -> None:
     assert track.seen_s == pytest.approx(time_s)
     deck.see_height(time_s + 0.2, 9.0)  # that is not the deck
     assert deck.seen_s == pytest.approx(time_s)
+
+
+def test_a_corner_of_the_deck_tells_the_height_of_its_middle_by_its_tilt() -> None:
+    rng = np.random.default_rng(0)
+    deck = DeckFilter(0.0, np.zeros(3), np.zeros(2))
+    for time_s in np.arange(0.1, 6.0, 0.1):
+        middle, size = (np.zeros(3), 5.0) if time_s < 5.0 else (np.array([4.0, 0.0, 0.0]), 0.6)
+        points = rng.uniform(-0.5, 0.5, (80, 3)) * [size, size, 0.0] + middle
+        points[:, 2] = rng.normal(0.0, 0.03, 80)
+        deck.see_plane(time_s, fit_plane(points, np.zeros(2)))
+        assert abs(deck.surface(time_s)[0][2]) < 0.06
+
+
+def test_a_height_is_less_sure_where_a_tilt_that_is_not_known_leads_to_it() -> None:
+    deck = DeckFilter(0.0, np.zeros(3), np.zeros(2))
+    deck.see_plane(0.1, PlaneFit(0.0, np.zeros(2), 1.0, np.array([4.0, 0.0, 0.4])))
+    assert 0.05 < deck.surface(0.1)[0][2] < 0.25
 
 
 CAMERA = CameraIntrinsics(width=424, height=240, fx=300.0, fy=300.0, cx=211.5, cy=119.5)
@@ -130,6 +147,17 @@ def test_corners_follow_a_deck_that_scans_no_longer_place() -> None:
     place, _ = deck.surface(time_s)
     np.testing.assert_allclose(place[:2], site[:2], atol=0.08)
     np.testing.assert_allclose(deck.velocity[:2], SPEED[:2], atol=0.15)
+
+
+def test_corners_from_far_away_know_a_place_no_better_than_the_attitude_is_known() -> None:
+    cells = np.stack(np.meshgrid(np.arange(-7, 7, 0.4), np.arange(-5, 5, 0.4)), -1).reshape(-1, 2)
+    features, site = DeckFeatures(CAMERA, cells), np.zeros(3)
+    deck = DeckFilter(0.0, site, np.zeros(2))
+    camera = Pose(BODY_FROM_DOWNWARD_OPTICAL, np.array([0.0, 0.0, 20.0]))
+    for step in range(3):
+        agreed = features.update(drawn(camera, site), camera, deck, 0.1 * step)
+    assert agreed > 20
+    assert 0.1 < deck.track(0.2).sigma_m < 0.2
 
 
 class Still:
