@@ -9,6 +9,7 @@ from typing import Literal
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from touchdown.estimator.api import GridMap
 from touchdown.landing.api import Finding, Verdict, WatchInput, WatchReport, WatchRig
@@ -136,7 +137,7 @@ class StandardWatch:
             track.new += _is_new(track, tops, seen.known)
         findings = [self._finding(track, seen, now) for track in self._tracks.tracks]
         if self._sightings is not None:
-            findings += [_person(one, seen, below) for one in self._sightings.present()]
+            findings += [_person(one, seen, below) for one in self._people(self._sightings, now)]
         findings.sort(key=lambda finding: finding.distance_m)
         ground = self._ground(layers, seen)
         findings += [finding for finding in ground if finding.kind in self._bad_ground]
@@ -147,7 +148,7 @@ class StandardWatch:
         """Holds the descent for who is near the site in an image; the next scan judges again."""
         if self._report.verdict is not Verdict.GO:
             return
-        found = (_person(one, seen, self._ground_z) for one in sightings.present())
+        found = (_person(one, seen, self._ground_z) for one in self._people(sightings, now))
         near = [(reason, one) for one in found if (reason := _reason(one, seen, _NEAR_M))]
         if near:
             self._blocked_s = self._since_s = now
@@ -155,6 +156,13 @@ class StandardWatch:
                 self._report, verdict=Verdict.WAIT, reason=near[0][0],
                 findings=(*(one for _, one in near), *self._report.findings),
             )  # fmt: skip
+
+    def _people(self, sightings: Sightings, now: float) -> list[Sighting]:
+        """Who is found in images, but where scans show nothing as high as a person."""
+        return [
+            one for one in sightings.present()
+            if not self._memory.is_low(now, _cell(one.xy_odom, self._surface.corner)[::-1])
+        ]  # fmt: skip
 
     def _finding(self, track: Track, seen: WatchInput, now: float) -> Finding:
         thing, at = track.thing, track.at(now)
@@ -284,9 +292,14 @@ def _person(one: Sighting, seen: WatchInput, ground_z: float) -> Finding:
     )  # fmt: skip
 
 
+def _cell(at: Array, corner: Array) -> NDArray[np.int64]:
+    """(2,) column and row of a place."""
+    return np.floor((at - corner) / CELL_M).astype(np.int64)
+
+
 def _ground_at(layers: Layers, corner: Array, at: Array) -> float:
     """Median height of the ground within a metre; NaN where it is not known."""
-    col, row = np.floor((at[:2] - corner) / CELL_M).astype(int)
+    col, row = _cell(at[:2], corner)
     reach, size = int(1.0 / CELL_M), len(layers.ground)
     if not (reach <= row < size - reach and reach <= col < size - reach):
         return float("nan")

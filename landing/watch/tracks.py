@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from touchdown.landing.watch.surface import CELL_M, Layers, Mask, shifted
-from touchdown.sim.typing import Array
+from touchdown.sim.typing import Array, Float32
 
 _MIN_CELLS, _MIN_RETURNS = 2, 6
 _MIN_HEIGHT_M, _MAX_HEIGHT_M = 0.3, 2.5
@@ -26,14 +26,20 @@ _AGO_S, _LONGEST_S = 0.55, 2.0
 _FREE_SCANS = 3
 """number of those that have to show free ground"""
 _KEPT = 20
+_LATELY_S, _AROUND_M, _SEEN, _LOW_M = 0.6, 1.0, 0.5, 0.7
+"""age of scans, distance to a place, fraction of the cells there, and height below which all has to
+be where nobody sits or stands"""
 _GATE_M, _FASTEST_MPS = 0.5, 6.0
 """distance to where a thing was expected, and speed of one seen for the first time"""
 _FORGET_S, _LOST_S = 4.0, 0.35
 """time for which something is kept that is out of sight, and that should be seen"""
 _FIT_S, _FIT_SPAN_S, _FIT_SCANS = 1.2, 0.35, 4
 _MOVES_MPS, _MOVED_M = 0.35, 0.25
-_LOOSE_M = 0.2
-"""root mean square of the distances from one straight motion up to which it is one thing"""
+_LOOSE_M, _BENT = 0.2, 0.2
+"""root mean square of the distances from one straight motion up to which it is one thing, and the
+same as a fraction of its way"""
+_AGREE = 2
+"""number of scans in a row that have to show it move"""
 _RUNS_MPS, _RAN_M, _OFF_M = 2.0, 2.0, 0.08
 """speed and way of what is fast, and the same of it"""
 
@@ -58,7 +64,8 @@ class Memory:
     """What stood where in the scans before, on the grid of the last one."""
 
     def __init__(self) -> None:
-        self._scans: deque[tuple[float, Mask, Mask]] = deque(maxlen=_KEPT)
+        self._scans: deque[tuple[float, Mask, Mask, Float32]] = deque(maxlen=_KEPT)
+        """when, where something rises, where the ground is free, height of what is highest"""
 
     def clear(self) -> None:
         """Forgets all."""
@@ -67,24 +74,41 @@ class Memory:
     def move(self, by: tuple[int, int]) -> None:
         """Follows the grid, by rows and columns."""
         if by != (0, 0):
-            moved = [(t, shifted(a, by, False), shifted(b, by, False)) for t, a, b in self._scans]
+            moved = [
+                (t, shifted(a, by, False), shifted(b, by, False), shifted(h, by, np.nan))
+                for t, a, b, h in self._scans
+            ]
+            self._scans.clear()
             self._scans.extend(moved)
 
     def add(self, time_s: float, layers: Layers) -> None:
         """Adds what a scan shows. Plants at the limit of what is tall are so in one scan and not in
         the next; free ground they are in none."""
         rises = (layers.returns > 0.0) & ~layers.free
-        self._scans.append((time_s, rises, layers.free))
+        height = np.where(layers.returns > 0.0, layers.high - layers.ground, np.float32(np.nan))
+        self._scans.append((time_s, rises, layers.free, height))
 
     def free(self) -> Mask:
         """Where one of the scans has seen free ground and none something on it."""
-        rises = np.logical_or.reduce([rises for _, rises, _ in self._scans])
-        seen: Mask = np.logical_or.reduce([free for _, _, free in self._scans])
+        rises = np.logical_or.reduce([rises for _, rises, _, _ in self._scans])
+        seen: Mask = np.logical_or.reduce([free for _, _, free, _ in self._scans])
         return seen & ~rises
+
+    def is_low(self, time_s: float, cell: Array) -> bool:
+        """Whether the last scans show what is around a ``cell`` (2,), row and column, and nothing
+        there as high as somebody who sits."""
+        reach = round(_AROUND_M / CELL_M)
+        row, col = cell.tolist()
+        lately = [height for at, _, _, height in self._scans if time_s - at <= _LATELY_S]
+        if not lately or not reach <= min(row, col) <= max(row, col) < len(lately[0]) - reach:
+            return False
+        around = np.s_[row - reach : row + reach + 1, col - reach : col + reach + 1]
+        high = np.fmax.reduce([height[around] for height in lately])
+        return bool(np.isfinite(high).mean() >= _SEEN and np.nanmax(high) < _LOW_M)
 
     def was_free(self, time_s: float) -> Mask | None:
         """Where the ground was free and nothing stood beside; None without a scan that old."""
-        old = [(r, f) for at, r, f in self._scans if _AGO_S <= time_s - at <= _LONGEST_S]
+        old = [(r, f) for at, r, f, _ in self._scans if _AGO_S <= time_s - at <= _LONGEST_S]
         if not old:
             return None
         rises = np.logical_or.reduce([r for r, _ in old]).astype(np.uint8)
@@ -135,6 +159,8 @@ class Track:
     """number of scans in which the map did not have it"""
     velocity: Array = field(default_factory=lambda: np.zeros(2))
     """(2,) m/s; 0 where it is not known to move"""
+    moving: int = 0
+    """number of scans in a row that show it move"""
     path: deque[tuple[float, Array]] = field(default_factory=lambda: deque(maxlen=_KEPT))
 
     def at(self, time_s: float) -> Array:
@@ -172,9 +198,12 @@ class Track:
         # Far away too few pulses tell whether the ground was free before. Bushes that are taken for
         # one thing do not lie on a line in equal steps.
         speed = np.hypot(*slope)
-        runs = speed > _RUNS_MPS and speed * -times[0] > _RAN_M
-        one = (moves and spread < _LOOSE_M) or (runs and spread < _OFF_M)
-        self.velocity = slope if one else np.zeros(2)
+        way = speed * -times[0]
+        runs = speed > _RUNS_MPS and way > _RAN_M
+        straight = spread < min(_LOOSE_M, _BENT * way)
+        one = (moves and straight) or (runs and spread < _OFF_M)
+        self.moving = self.moving + 1 if one else 0
+        self.velocity = slope if self.moving >= _AGREE else np.zeros(2)
 
 
 class Tracks:

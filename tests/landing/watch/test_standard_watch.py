@@ -60,7 +60,7 @@ def test_a_walker_towards_the_site_is_predicted() -> None:
     walker = Box(middle=(0.0, 5.5), size=PERSON, velocity=(0.0, -1.5))
     reports = watched(Descent(boxes=(walker,), touchdown_s=4.0, pose_at=lambda _: at(7.0)))
     time_s, reason = first(reports)
-    assert reason.startswith("something that moves ") and time_s < 1.2
+    assert reason.startswith("something that moves ") and time_s < 1.3
     found = next(report.findings[0] for t, report in reports if t == time_s)
     np.testing.assert_allclose(found.velocity_odom, [0.0, -1.5], atol=0.2)
     assert found.distance_m > 3.0 and found.height_m == pytest.approx(1.7, abs=0.1)
@@ -202,15 +202,22 @@ def test_without_returns_it_says_that_nothing_is_watched() -> None:
 
 
 @pytest.mark.parametrize(
-    ("away_m", "mps", "said"),
-    [(2.0, 0.0, "somebody "), (4.5, 0.0, ""), (5.5, -1.4, "somebody "), (3.7, 1.4, "")],
+    ("away_m", "mps", "hedge", "said"),
+    [
+        (2.0, 0.0, True, "somebody "),
+        (2.0, 0.0, False, ""),
+        (4.5, 0.0, True, ""),
+        (5.5, -1.4, True, "somebody "),
+        (3.7, 1.4, True, ""),
+    ],
 )
 def test_somebody_in_images_near_the_site_is_in_the_way(
-    away_m: float, mps: float, said: str, monkeypatch: pytest.MonkeyPatch
+    away_m: float, mps: float, hedge: bool, said: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Scans show flat ground; the person stands still, or walks towards the site."""
+    """He stands still, or walks towards the site, along a hedge or where scans show bare ground."""
     rig = synthetic_rig()
-    descent = Descent(pose_at=lambda _: at(9.0))
+    boxes = (Box(middle=(0.0, -4.5), size=(0.6, 6.4, 1.0)),) if hedge else ()
+    descent = Descent(pose_at=lambda _: at(9.0), boxes=boxes, known=False)
     place = [away_m]
 
     class Detector:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from touchdown.landing.watch.surface import Layers
-from touchdown.landing.watch.tracks import Thing, Tracks
+from touchdown.landing.watch.tracks import Memory, Thing, Tracks
 from touchdown.sim.typing import Array
 
 SIZE, SCAN_S = 100, 0.1
@@ -36,6 +36,34 @@ def test_who_walks_goes_straight_on(off_m: float, moves: bool) -> None:
     path = np.column_stack([14.0 - SCAN_S * np.arange(13), np.full(13, 10.0)])
     path[1::2, 1] += off_m
     assert velocity_of(path, appeared=1.0)[0] == pytest.approx(-1.0 if moves else 0.0, abs=1e-6)
+
+
+@pytest.mark.parametrize(("off_m", "moves"), [(0.05, True), (0.3, False)])
+def test_over_a_short_way_it_is_straighter(off_m: float, moves: bool) -> None:
+    path = np.column_stack([14.0 - 1.2 * SCAN_S * np.arange(6), np.full(6, 10.0)])
+    path[1::2, 1] += off_m
+    assert bool(velocity_of(path, appeared=1.0).any()) is moves
+
+
+def test_two_scans_show_that_it_moves() -> None:
+    path = np.column_stack([14.0 - 1.2 * SCAN_S * np.arange(6), np.full(6, 10.0)])
+    assert [bool(velocity_of(path[:n], appeared=1.0).any()) for n in (5, 6)] == [False, True]
+
+
+def test_scans_tell_that_nobody_is_as_high_as_he_would_be() -> None:
+    ground = np.zeros((SIZE, SIZE), np.float32)
+    high = np.full_like(ground, 0.02)
+    high[50:52, 50:52] = 0.6
+    high[60, 60] = 0.9
+    high[70:90, 70:90] = -np.inf
+    seen = np.isfinite(high).astype(np.float32)
+    memory = Memory()
+    memory.add(0.0, Layers(_NONE, _NONE, seen, ground, ground, high))
+    low = [memory.is_low(0.5, np.array([at, at])) for at in (30, 51, 56, 80, 2, 97)]
+    assert low == [True, True, False, False, False, False]
+    assert not memory.is_low(1.0, np.array([30, 30]))
+    memory.move((10, 0))
+    assert memory.is_low(0.5, np.array([60, 60])) and not memory.is_low(0.5, np.array([70, 60]))
 
 
 def test_a_short_way_is_no_run() -> None:
