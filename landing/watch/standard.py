@@ -9,7 +9,6 @@ from typing import Literal
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from touchdown.estimator.api import GridMap
 from touchdown.landing.api import Finding, Verdict, WatchInput, WatchReport, WatchRig
@@ -20,7 +19,7 @@ from touchdown.landing.watch.surface import CELL_M, Layers, Surface
 from touchdown.landing.watch.tracks import Memory, Track, Tracks, things_in
 from touchdown.sim.api import LidarScan, SensorNeeds
 from touchdown.sim.frames import PoseHistory
-from touchdown.sim.typing import Array
+from touchdown.sim.typing import Array, Indices
 
 _POSES = 256
 _BREAK_S = 1.0
@@ -292,7 +291,7 @@ def _person(one: Sighting, seen: WatchInput, ground_z: float) -> Finding:
     )  # fmt: skip
 
 
-def _cell(at: Array, corner: Array) -> NDArray[np.int64]:
+def _cell(at: Array, corner: Array) -> Indices:
     """(2,) column and row of a place."""
     return np.floor((at - corner) / CELL_M).astype(np.int64)
 

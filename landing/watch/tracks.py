@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from touchdown.landing.watch.surface import CELL_M, Layers, Mask, shifted
-from touchdown.sim.typing import Array, Float32
+from touchdown.sim.typing import Array, Float32, Indices
 
 _MIN_CELLS, _MIN_RETURNS = 2, 6
 _MIN_HEIGHT_M, _MAX_HEIGHT_M = 0.3, 2.5
@@ -94,7 +94,7 @@ class Memory:
         seen: Mask = np.logical_or.reduce([free for _, _, free, _ in self._scans])
         return seen & ~rises
 
-    def is_low(self, time_s: float, cell: Array) -> bool:
+    def is_low(self, time_s: float, cell: Indices) -> bool:
         """Whether the last scans show what is around a ``cell`` (2,), row and column, and nothing
         there as high as somebody who sits."""
         reach = round(_AROUND_M / CELL_M)
