@@ -206,10 +206,12 @@ def measure(configs: Sequence[Config], places: int, jobs: int, out: Path | None)
     edges = np.array(SIZES_M)
     frame["bin"] = np.clip(np.searchsorted(edges, frame["size_m"], "right") - 1, 0, len(edges) - 2)
     levels = []
-    for (of, name, size), own in frame.groupby(["of", "from", "bin"]):
-        value = clustered_fraction(own["hit"].to_numpy(), list(own["unit"]))
-        levels.append({"from": name, "of": of, "size_m": edges[size : size + 2].tolist(),
-                       **value.as_json(), "count": len(own)})  # fmt: skip
+    for (of, name), whole in frame.groupby(["of", "from"]):
+        sizes = [(edges[size : size + 2], own) for size, own in whole.groupby("bin")]
+        for ends, own in [(edges[[0, -1]], whole), *sizes]:
+            value = clustered_fraction(own["hit"].to_numpy(), list(own["unit"]))
+            levels.append({"from": name, "of": of, "size_m": ends.tolist(),
+                           **value.as_json(), "count": len(own)})  # fmt: skip
     if out is not None:
         (out / "hazards.svg").write_text(_drawing(frame).svg, encoding="utf-8")
     return {"levels": levels}
