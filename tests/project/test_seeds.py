@@ -29,7 +29,7 @@ def test_a_campaign_uses_seeds_of_its_own_kind(file: str) -> None:
         assert found == {"verdict of edition 1"}
     elif file in RUGGED:
         assert found == {"verdict on rugged ground"}
-    elif file == "configs/blind.toml":
+    elif file in {"configs/blind.toml", "configs/lying.toml"}:
         assert found == {"verdict on blindness"}
     elif file == "configs/intruders.toml":
         assert found == {"verdict on intruders"}
