@@ -38,8 +38,8 @@ _MOVES_MPS, _MOVED_M = 0.35, 0.25
 _LOOSE_M, _BENT = 0.2, 0.2
 """root mean square of the distances from one straight motion up to which it is one thing, and the
 same as a fraction of its way"""
-_AGREE = 2
-"""number of scans in a row that have to show it move"""
+_FREE_LATELY = 4
+"""number of the last five scans by which it stands where the ground was free, as who walks does"""
 _RUNS_MPS, _RAN_M, _OFF_M = 2.0, 2.0, 0.08
 """speed and way of what is fast, and the same of it"""
 
@@ -159,8 +159,6 @@ class Track:
     """number of scans in which the map did not have it"""
     velocity: Array = field(default_factory=lambda: np.zeros(2))
     """(2,) m/s; 0 where it is not known to move"""
-    moving: int = 0
-    """number of scans in a row that show it move"""
     path: deque[tuple[float, Array]] = field(default_factory=lambda: deque(maxlen=_KEPT))
 
     def at(self, time_s: float) -> Array:
@@ -194,7 +192,8 @@ class Track:
         half = len(near) // 2
         moved = np.linalg.norm(places[half:].mean(axis=0) - places[:half].mean(axis=0))
         # What comes into view seems to move too; but it has not been seen free before.
-        moves = np.hypot(*slope) > _MOVES_MPS and 2.0 * moved > _MOVED_M and sum(self.lately) > 2
+        free = sum(self.lately) >= _FREE_LATELY
+        moves = np.hypot(*slope) > _MOVES_MPS and 2.0 * moved > _MOVED_M and free
         # Far away too few pulses tell whether the ground was free before. Bushes that are taken for
         # one thing do not lie on a line in equal steps.
         speed = np.hypot(*slope)
@@ -202,8 +201,7 @@ class Track:
         runs = speed > _RUNS_MPS and way > _RAN_M
         straight = spread < min(_LOOSE_M, _BENT * way)
         one = (moves and straight) or (runs and spread < _OFF_M)
-        self.moving = self.moving + 1 if one else 0
-        self.velocity = slope if self.moving >= _AGREE else np.zeros(2)
+        self.velocity = slope if one else np.zeros(2)
 
 
 class Tracks:
