@@ -47,7 +47,6 @@ def test_over_a_short_way_it_is_straighter(off_m: float, moves: bool) -> None:
     assert bool(velocity_of(path, appeared=1.0).any()) is moves
 
 
-
 @pytest.mark.parametrize(("known", "moves"), [(1, True), (2, False)])
 def test_who_walks_is_where_the_ground_was_free(known: int, moves: bool) -> None:
     path = np.column_stack([14.0 - 1.2 * SCAN_S * np.arange(6), np.full(6, 10.0)])
