@@ -153,7 +153,7 @@ def _limit(out: Path) -> dict[str, Any]:
     from touchdown.experiments.benchmarks.limit.survey import measure
 
     runs = sorted((FlightSet("limit").directory(out) / RUNS).iterdir())
-    return {"runs": [measure(run, True, lambda _note: None) for run in runs]}
+    return {"runs": [measure(run, True, lambda _: None) | {"run": run.name} for run in runs]}
 
 
 def _cost(_out: Path) -> dict[str, Any]:
