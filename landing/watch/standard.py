@@ -158,9 +158,10 @@ class StandardWatch:
 
     def _people(self, sightings: Sightings, now: float) -> list[Sighting]:
         """Who is found in images, but where scans show nothing as high as a person."""
+        corner = self._surface.corner
         return [
             one for one in sightings.present()
-            if not self._memory.is_low(now, _cell(one.xy_odom, self._surface.corner)[::-1])
+            if not self._memory.is_low(now, _cell(one.xy_odom, corner))
         ]  # fmt: skip
 
     def _finding(self, track: Track, seen: WatchInput, now: float) -> Finding:

@@ -95,10 +95,10 @@ class Memory:
         return seen & ~rises
 
     def is_low(self, time_s: float, cell: Indices) -> bool:
-        """Whether the last scans show what is around a ``cell`` (2,), row and column, and nothing
+        """Whether the last scans show what is around a ``cell`` (2,), column and row, and nothing
         there as high as somebody who sits."""
         reach = round(_AROUND_M / CELL_M)
-        row, col = cell.tolist()
+        col, row = cell.tolist()
         lately = [height for at, _, _, height in self._scans if time_s - at <= _LATELY_S]
         if not lately or not reach <= min(row, col) <= max(row, col) < len(lately[0]) - reach:
             return False
@@ -191,15 +191,15 @@ class Track:
         spread = np.sqrt((off**2).sum(axis=1).mean())
         half = len(near) // 2
         moved = np.linalg.norm(places[half:].mean(axis=0) - places[:half].mean(axis=0))
-        # What comes into view seems to move too; but it has not been seen free before.
-        free = sum(self.lately) >= _FREE_LATELY
-        moves = np.hypot(*slope) > _MOVES_MPS and 2.0 * moved > _MOVED_M and free
-        # Far away too few pulses tell whether the ground was free before. Bushes that are taken for
-        # one thing do not lie on a line in equal steps.
         speed = np.hypot(*slope)
         way = speed * -times[0]
-        runs = speed > _RUNS_MPS and way > _RAN_M
         straight = spread < min(_LOOSE_M, _BENT * way)
+        # What comes into view seems to move too; but it has not been seen free before.
+        free = sum(self.lately) >= _FREE_LATELY
+        moves = speed > _MOVES_MPS and 2.0 * moved > _MOVED_M and free
+        # Far away too few pulses tell whether the ground was free before. Bushes that are taken for
+        # one thing do not lie on a line in equal steps.
+        runs = speed > _RUNS_MPS and way > _RAN_M
         one = (moves and straight) or (runs and spread < _OFF_M)
         self.velocity = slope if one else np.zeros(2)
 

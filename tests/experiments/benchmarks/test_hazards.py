@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from touchdown.experiments.benchmarks.selection import hazards
 from touchdown.experiments.benchmarks.selection.hazards import Things, compared, true_things
 from touchdown.landing.api import LandingParams
 from touchdown.landing.selection.ground.elevation_raster import observed_raster
@@ -46,3 +47,15 @@ def test_rocks_are_found_missed_or_imagined() -> None:
 
 def test_what_stands_on_steep_ground_does_not_count() -> None:
     assert rows(true_things(ground(9.0), PARAMS), (35, 35)) == []
+
+
+def test_a_curve_begins_with_its_figure_in_all(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = [
+        {"of": "recall", "from": "10 m", "unit": f"place {n}", "size_m": size, "hit": hit}
+        for n, (size, hit) in enumerate([(0.25, True), (0.25, False), (0.5, True), (0.5, True)])
+    ]
+    monkeypatch.setattr(hazards, "mapped", lambda *_: [found])
+    levels = hazards.measure([], 4, 1, None)["levels"]
+    assert [(row["size_m"], row["value"], row["count"]) for row in levels] == [
+        ([0.1, 10.0], 0.75, 4), ([0.2, 0.3], 0.5, 2), ([0.45, 0.7], 1.0, 2),
+    ]  # fmt: skip

@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+from touchdown.experiments.benchmarks.limit import survey
 from touchdown.experiments.campaign.directory import settle_plan
 from touchdown.experiments.campaign.results_table import ROW_FILE, RUNS, write_table
 from touchdown.experiments.cli import main as cli
@@ -404,3 +405,12 @@ def test_short_flights_are_paired_with_whole_ones_of_equal_scene_and_seed() -> N
     assert error["short over whole"] == "0.500 [0.500, 0.500]"
     assert error["rank correlation"].startswith("1.00 [") and offset["rank correlation"] == "–"
     assert "Landed: 6 of 6 short flights, 6 of 6 whole ones." in "\n".join(lines)
+
+
+def test_the_bound_names_its_logs_without_the_way_to_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "limit" / "runs" / "lake").mkdir(parents=True)
+    monkeypatch.setattr(survey, "measure", lambda run, *_: {"run": str(run), "scene": run.name})
+    found = edition.MEASURED["limit"](tmp_path)
+    assert found == {"runs": [{"run": "lake", "scene": "lake"}]}

@@ -66,7 +66,7 @@ def test_scans_tell_that_nobody_is_as_high_as_he_would_be() -> None:
     assert low == [True, True, False, False, False, False]
     assert not memory.is_low(1.0, np.array([30, 30]))
     memory.move((10, 0))
-    assert memory.is_low(0.5, np.array([60, 60])) and not memory.is_low(0.5, np.array([70, 60]))
+    assert memory.is_low(0.5, np.array([60, 60])) and not memory.is_low(0.5, np.array([60, 70]))
 
 
 def test_a_short_way_is_no_run() -> None:
