@@ -267,8 +267,8 @@ class LandingParams:
     moving_site: bool = False
     """land on a deck that moves, which scans and images show; set for the scene ``deck``"""
     deck_tag_m: NotNegative = 0.0
-    """side of an AprilTag (36h11, number 0) that the deck is found by; 0: by its shape alone; that
-    of ``deck.tag_m`` in the scene ``deck``"""
+    """side of an AprilTag (36h11, number 0) in the middle of the deck, by which it is followed; 0:
+    none; that of ``deck.tag_m`` in the scene ``deck``"""
     survey_only: bool = False
     """stop after the survey (the positioning experiment)"""
     return_home: bool = False

@@ -1,11 +1,11 @@
 """An estimator that follows a deck, too.
 
 The deck is found as the largest level surface that ends within the field of view, away from the
-take-off spot, or by a tag. From then on scans measure its height and tilt, and its middle as long
-as all of it is in view; corners in images measure its place down to the touchdown, and the
-rangefinder its height where the LIDAR is too near. Poses of the vehicle enter by their differences
-over tenths of a second alone. What moves misleads an odometry that takes it for the ground: while a
-deck is followed, the estimator gets the inertial sensors alone.
+take-off spot. From then on scans measure its height and tilt, and its middle as long as all of it
+is in view; corners in images, and a tag if there is one, measure its place down to the touchdown,
+and the rangefinder its height where the LIDAR is too near. Poses of the vehicle enter by their
+differences over tenths of a second alone. What moves misleads an odometry that takes it for the
+ground: while a deck is followed, the estimator gets the inertial sensors alone.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 from touchdown.estimator.api import Estimate, Estimator, PoseTrack, spare_sensors
 from touchdown.estimator.deck.features import DeckFeatures
 from touchdown.estimator.deck.filters import DeckFilter
-from touchdown.estimator.deck.surfaces import CELL_M, Surface, fit_plane, surfaces, thinning_part
+from touchdown.estimator.deck.surfaces import Surface, fit_plane, surfaces, thinning_part
 from touchdown.estimator.deck.tag import TagReader
 from touchdown.estimator.filtering.camera_model import Undistorter, at_middle_row
 from touchdown.estimator.filtering.deskew import deskewed_points, screen_scan
@@ -29,7 +29,7 @@ from touchdown.sim.api import (
     SensorNeeds,
     SensorRig,
 )
-from touchdown.sim.frames import Pose, PoseHistory, quat_wxyz_from_matrix
+from touchdown.sim.frames import PoseHistory, quat_wxyz_from_matrix
 from touchdown.sim.typing import Array, Mask
 
 _CAMERA_HZ = 10
@@ -60,17 +60,12 @@ _MIDDLE_SIGMA_M = 0.12
 _RANGE_M = 4.0
 """range from which on the rangefinder surely points at the deck"""
 _LOST_S = 2.0
-_TAG_TIMES, _TAG_M = 3, 0.8
-"""images in a row in which a tag is read before its deck is followed, and way between two"""
-_TAG_SIGMA_M, _TAG_OFF_M = 0.03, 1.5
-"""standard deviation of the place of a tag in the plane of its deck, and what the height of that is
-off by before the first scan"""
-_TAG_DECK_M, _TAG_CELLS = 2.0, 2
-"""radius of what is level around a tag, and of the part with corners that are followed, in cells"""
+_TAG_SIGMA_M = 0.03
+"""standard deviation of the place of a tag in the plane of its deck"""
 
 
 class DeckOdometry:
-    """``inner`` with `Estimate.deck`. ``tag_m``: side of a tag that the deck is found by; 0: none.
+    """``inner`` with `Estimate.deck`. ``tag_m``: side of a tag in its middle; 0: none.
     Deterministic."""
 
     def __init__(self, inner: Estimator, rig: SensorRig, tag_m: float = 0.0) -> None:
@@ -84,14 +79,10 @@ class DeckOdometry:
         self._seen: list[tuple[float, Surface]] = []
         """when, and what may be the deck, in the last scans"""
         self._radius = self._area = 0.0
-        self._off_m = _ABOVE_M
-        """distance from its plane within which returns are of the deck"""
         self._filter: DeckFilter | None = None
         self._features: DeckFeatures | None = None
         self._corners = 0
         self._tag = TagReader(self._undistort.rig.camera, tag_m) if tag_m else None
-        self._tags: list[tuple[float, Array]] = []
-        """when and where, (3,), the tag was last, before its deck is followed"""
 
     def update(self, obs: Observation) -> Estimate:
         """As `Estimator.update`."""
@@ -104,7 +95,7 @@ class DeckOdometry:
         for scan in obs.scans:
             self._take_scan(scan, estimate, events)
         for image in obs.images:
-            self._take_image(at_middle_row(image, self._rig), events)
+            self._take_image(at_middle_row(image, self._rig))
         deck = self._filter
         if deck is None:
             return estimate
@@ -133,14 +124,14 @@ class DeckOdometry:
         points = deskewed_points(scan, pulses, track, self._rig.body_from_lidar)
         left_s = scan.end_time_s - scan.start_time_s - scan.time_offsets[pulses]
         edge = self._at_edge(scan)[pulses]
-        if self._filter is None and self._tag is None:
+        if self._filter is None:
             found = [
                 one
                 for one in surfaces(points, edge)
                 if one.area_m2 > _AREA_M2[1] or thinning_part(one, points) < _THINNING
             ]
             self._look_for(found, estimate, scan.end_time_s, events)
-        elif self._filter is not None:
+        else:
             moved = points + left_s[:, None] * self._filter.velocity
             self._measure(self._filter, moved, edge, scan.end_time_s)
 
@@ -190,24 +181,17 @@ class DeckOdometry:
         found = self._seen[-1][1]
         cells = found.cells[:, :2] - site[:2]
         self._radius, self._area = float(np.linalg.norm(cells, axis=1).max()), found.area_m2
-        sightings = [(seen_s, one.cells.mean(axis=0)) for seen_s, one in self._seen]
-        self._follow(cells, site, slopes, sightings)
-        self._seen = []
-
-    def _follow(
-        self, cells: Array, site: Array, slopes: Array, sightings: list[tuple[float, Array]]
-    ) -> None:
-        """``sightings``: when and where, (3,), its middle was, up to now."""
-        times, places = zip(*sightings, strict=True)
+        times, places = zip(*((t, one.cells.mean(axis=0)) for t, one in self._seen), strict=True)
         course = np.polynomial.polynomial.polyfit(times, np.array(places)[:, :2], 1)[1]
         self._filter = DeckFilter(times[-1], site, slopes, course)
         self._features = DeckFeatures(self._undistort.rig.camera, cells)
+        self._seen = []
 
     def _measure(self, deck: DeckFilter, points: Array, edge: Mask, time_s: float) -> None:
         site, slopes = deck.surface(time_s)
         away = points - site
         near = np.hypot(away[:, 0], away[:, 1]) < self._radius + _AROUND_M
-        near &= np.abs(away[:, 2] - away[:, :2] @ slopes) < self._off_m
+        near &= np.abs(away[:, 2] - away[:, :2] @ slopes) < _ABOVE_M
         if near.sum() < _FEWEST:
             return
         chosen = np.flatnonzero(near)[:: max(1, int(near.sum()) // _POINTS)]
@@ -220,7 +204,6 @@ class DeckOdometry:
             return  # water or ground that it has drifted over
         plane = fit_plane(largest.cells if len(largest.cells) > 60 else points, site[:2])
         deck.see_plane(time_s, plane)
-        self._off_m = _ABOVE_M
         whole = abs(largest.area_m2 / self._area - 1.0) < _SAME_AREA
         if whole and not largest.clipped:
             middle = largest.cells.mean(axis=0)
@@ -241,34 +224,16 @@ class DeckOdometry:
         height = float(spot[2] - (spot - site)[:2] @ slopes)
         deck.see_height(sample.time_s, height, sheet.sigma_m)
 
-    def _take_image(self, image: CameraImage, events: list[str]) -> None:
-        pose = self._poses.at(image.time_s)
-        if pose is None or (self._tag is None and self._filter is None):
+    def _take_image(self, image: CameraImage) -> None:
+        pose, deck = self._poses.at(image.time_s), self._filter
+        if pose is None or deck is None or self._features is None:
             return
         camera = pose @ self._rig.body_from_camera
         grey = self._undistort.grey(image.rgb)
-        if self._tag is not None:
-            self._take_tag(self._tag.read(grey, camera), camera, image.time_s, events)
-        if self._filter is not None and self._features is not None:
-            self._corners = self._features.update(grey, camera, self._filter, image.time_s)
-
-    def _take_tag(self, tag: Array | None, camera: Pose, time_s: float, events: list[str]) -> None:
-        if tag is None:
-            self._tags = []
-        elif self._filter is not None:
+        if self._tag is not None and (tag := self._tag.read(grey, camera)) is not None:
             # Its size tells less of the range than scans do.
-            site, slopes = self._filter.surface(time_s)
+            site, slopes = deck.surface(image.time_s)
             normal, beam = np.array([-slopes[0], -slopes[1], 1.0]), tag - camera.translation
             way = float(normal @ (site - camera.translation)) / float(normal @ beam)
-            self._filter.see_place(time_s, (camera.translation + way * beam)[:2], _TAG_SIGMA_M)
-        else:
-            same = self._tags and np.linalg.norm(tag - self._tags[-1][1]) < _TAG_M
-            self._tags = [*self._tags, (time_s, tag)] if same else [(time_s, tag)]
-            if len(self._tags) >= _TAG_TIMES:
-                side = CELL_M * np.arange(-_TAG_CELLS, _TAG_CELLS + 1)
-                cells = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
-                self._radius, self._area = _TAG_DECK_M, np.inf
-                self._off_m = _TAG_OFF_M
-                self._follow(cells, tag, np.zeros(2), self._tags)
-                self._tags = []
-                events.append("tag of a deck found")
+            deck.see_place(image.time_s, (camera.translation + way * beam)[:2], _TAG_SIGMA_M)
+        self._corners = self._features.update(grey, camera, deck, image.time_s)
