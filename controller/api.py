@@ -1,7 +1,5 @@
 """Interface of the controller: setpoints, the protocol and its parameters."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Annotated, ClassVar, Protocol
 

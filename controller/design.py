@@ -9,8 +9,6 @@ observer of the wind's force, in which the loops' own action cancels. ``touchdow
 prints the margins.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -307,8 +305,7 @@ def _response(loop: System, points: NDArray[np.complex128]) -> NDArray[np.comple
     """(N,) of a single loop at (N,) ``points`` of the z plane."""
     states = points[:, None, None] * np.eye(loop.nstates) - loop.A
     inside = np.linalg.solve(states, np.broadcast_to(loop.B, (len(points), *loop.B.shape)))
-    found: NDArray[np.complex128] = (loop.C @ inside)[:, 0, 0] + loop.D[0, 0]
-    return found
+    return (loop.C @ inside)[:, 0, 0] + loop.D[0, 0]
 
 
 def _crossings(values: Array) -> tuple[NDArray[np.int64], Array]:

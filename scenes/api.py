@@ -1,7 +1,5 @@
 """Types of a scene that the other folders use."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path

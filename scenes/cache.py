@@ -5,8 +5,6 @@ is a hash of what the scene depends on: name, seed, dials, sun, light, traffic, 
 pictures of this package, and the versions of the libraries that generate it.
 """
 
-from __future__ import annotations
-
 import contextlib
 import hashlib
 import os

@@ -1,7 +1,5 @@
 """A room with a movable chessboard for calibrating camera and LIDAR."""
 
-from __future__ import annotations
-
 from typing import Any
 from zlib import crc32
 

@@ -1,7 +1,5 @@
 """Composes a scene and the vehicle into one compiled model."""
 
-from __future__ import annotations
-
 import warnings
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Writes a scene as files that MuJoCo's own viewer opens."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import struct

@@ -1,7 +1,5 @@
 """Images of a scene for people."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any

@@ -1,8 +1,6 @@
 """The moving air at the vehicle: mean wind and turbulence, wakes, rotational gusts, gusts of
 faults."""
 
-from __future__ import annotations
-
 import math
 
 from touchdown.scenes.api import Scene

@@ -1,8 +1,6 @@
 """A world in which the vehicle is carried along a trajectory that somebody flew: real motion, with
 simulated sensors and a known truth. Nothing steers it, and nothing is in its way."""
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 
@@ -123,8 +121,7 @@ class FlownPath:
         q, d = self._turn(at), self._turn.derivative(1)(at)
         square = np.einsum("ij,ij->i", q, q)[:, None]
         vector = q[:, :1] * d[:, 1:] - d[:, :1] * q[:, 1:] - np.cross(q[:, 1:], d[:, 1:])
-        rate: Array = 2.0 * vector / square @ self._level
-        return rate
+        return 2.0 * vector / square @ self._level
 
     def _thrust_axes(self, times: Array) -> Array:
         """(3, 3) old body from new: z along the mean thrust, x as near to the old x as it may."""

@@ -6,8 +6,6 @@ The tick at which its result arrives is fixed when it is submitted, and whoever 
 tick waits for the result if need be, so thread timing cannot change what a flight sees.
 """
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from collections.abc import Callable

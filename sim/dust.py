@@ -12,8 +12,6 @@ The cloud is even between vehicle and ground and without memory: it follows heig
 ground below at once. Its extinction at full strength is assumed.
 """
 
-from __future__ import annotations
-
 import math
 from collections import OrderedDict
 from dataclasses import dataclass

@@ -4,8 +4,6 @@ The physics thread records poses and snapshots at their ticks; images are render
 thread and scans cast in another, and both arrive after a latency of their own (`Latency`).
 """
 
-from __future__ import annotations
-
 from collections import deque
 
 import mujoco

@@ -1,7 +1,5 @@
 """Intruders: people, dogs and cyclists whom a fault sends onto the landing site."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import Any

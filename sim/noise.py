@@ -1,7 +1,5 @@
 """Random processes that several sensors share."""
 
-from __future__ import annotations
-
 import math
 from zlib import crc32
 

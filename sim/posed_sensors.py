@@ -4,8 +4,6 @@ No physics, control or estimation takes part, so the cost is that of the rays an
 poses are true by construction.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Protocol

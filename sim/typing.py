@@ -1,7 +1,5 @@
 """Array types; shapes, units and frames stand where they are used."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -1,7 +1,5 @@
 """The simulated world: physics, air, sensors and their delays behind ``sim.api.World``."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import fields, replace
 from typing import TypeVar

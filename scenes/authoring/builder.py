@@ -1,7 +1,5 @@
 """Collects the geoms, surfaces and shadow casters of a scene under construction."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any

@@ -1,7 +1,5 @@
 """Output of a scene generator, before the vehicle is added and the model compiled."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """First and last steps that all scene generators share."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial

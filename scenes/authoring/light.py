@@ -19,8 +19,6 @@ wavelength in micrometres. Half of the light on level ground then comes from the
 of a camera is that for both together.
 """
 
-from __future__ import annotations
-
 import contextlib
 import math
 from collections.abc import Callable, Iterator

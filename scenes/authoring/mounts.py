@@ -1,7 +1,5 @@
 """Sensors of a vehicle that are turned from their mounts."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import mujoco
@@ -60,8 +58,7 @@ def _turn(element: Any, degrees: tuple[float, float, float]) -> Array:
     )
     element.alt.type = _QUAT
     element.quat = turned.as_quat(scalar_first=True)
-    axes: Array = turned.as_matrix()
-    return axes
+    return turned.as_matrix()
 
 
 def _quat(element: Any) -> Array:

@@ -1,7 +1,5 @@
 """Seeded value noise on rasters, the raw material of terrain and textures."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 
 import cv2

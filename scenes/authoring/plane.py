@@ -1,7 +1,5 @@
 """Shapes and turns in the plane, and random choices."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import TypeVar
 

@@ -1,7 +1,5 @@
 """Plots of ground with coordinates of their own; position and heading of the survey."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Protocol

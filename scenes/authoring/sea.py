@@ -5,8 +5,6 @@ Long-crested waves of the Pierson-Moskowitz spectrum by significant height H and
 hull follows the mean height and slope of the water under its rectangle.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from touchdown.scenes.api import Sway

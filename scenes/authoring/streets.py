@@ -1,7 +1,5 @@
 """Roads: rectangles and wear in road coordinates; curved streets with kerbs and traffic."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Protocol

@@ -1,7 +1,5 @@
 """Other materials and other water than scenes are planned with, in a context."""
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Iterator
 from contextvars import ContextVar

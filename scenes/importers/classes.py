@@ -1,8 +1,6 @@
 """Classes of a file's geoms where no name begins with one: as a user gives them, in a table of
 names (TOML) or a PNG from above, else by words of their names, by geometry and by appearance."""
 
-from __future__ import annotations
-
 import re
 import tomllib
 from collections.abc import Callable, Mapping

@@ -1,8 +1,6 @@
 """Makes a scene of a digital elevation model: heights from a GeoTIFF, colours from an aerial image
 or from the relief."""
 
-from __future__ import annotations
-
 import warnings
 from functools import partial
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Height rasters from GeoTIFF files, read by GDAL through rasterio."""
 
-from __future__ import annotations
-
 import re
 import warnings
 from collections.abc import Iterator

@@ -7,8 +7,6 @@ the one in the file, so that thin things on it stay seen. A height field keeps i
 the texture alone.
 """
 
-from __future__ import annotations
-
 from collections.abc import Container
 from typing import Any, NamedTuple
 from zlib import crc32

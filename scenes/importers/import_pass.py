@@ -2,8 +2,6 @@
 nothing, ground that sensors can hold on to, contacts where the ground is seen, light. What is done
 is said, in one line."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace

@@ -4,8 +4,6 @@ Content far from the origin, as in map coordinates, is moved there: single preci
 images are drawn and LIDAR rays are cast, resolves half a metre at the northing of a map grid.
 """
 
-from __future__ import annotations
-
 import warnings
 from functools import partial
 from pathlib import Path
@@ -75,8 +73,7 @@ def finite_box(model: Any, data: Any) -> Array | None:
 def infinite_planes(model: Any) -> NDArray[np.bool_]:
     """(G,) planes that are unbounded in at least one direction."""
     planes = model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE
-    unbounded: NDArray[np.bool_] = planes & (model.geom_size[:, :2] == 0.0).any(axis=1)
-    return unbounded
+    return planes & (model.geom_size[:, :2] == 0.0).any(axis=1)
 
 
 def coarse_meshes(model: Any) -> list[str]:

@@ -3,8 +3,6 @@
 What MuJoCo itself needs for a file is limited by the process that reads it (`sim.files.child`).
 """
 
-from __future__ import annotations
-
 import os
 import re
 from collections.abc import Iterator, Mapping

@@ -6,8 +6,6 @@ or, with ``<text name="truck:start" data="seed"/>``, from one that the seed draw
 the seconds at which it is at each vertex, in place of a speed: it goes once. Its x axis is ahead.
 """
 
-from __future__ import annotations
-
 from typing import Any
 from zlib import crc32
 

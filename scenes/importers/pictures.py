@@ -1,7 +1,5 @@
 """Images of users: checked by their header, decoded only below a limit, GeoTIFFs in parts."""
 
-from __future__ import annotations
-
 import math
 import mmap
 import re

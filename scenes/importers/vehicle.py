@@ -1,8 +1,6 @@
 """Vehicles from MJCF files: a shipped one by its name, or any file with the sites of
 docs/vehicles.md. What a flight needs beside them is added here: feet, propeller discs, cameras."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
@@ -121,8 +119,7 @@ def _inertia(model: Any, data: Any, body: int, about: Array) -> Array:
     axes = data.ximat[body].reshape(3, 3)
     arm = data.xipos[body] - about
     own = axes @ np.diag(model.body_inertia[body]) @ axes.T
-    shifted: Array = own + model.body_mass[body] * (arm @ arm * np.eye(3) - np.outer(arm, arm))
-    return shifted
+    return own + model.body_mass[body] * (arm @ arm * np.eye(3) - np.outer(arm, arm))
 
 
 def _principal(inertia: Array) -> tuple[Array, Array]:

@@ -1,7 +1,5 @@
 """Cars: one textured mesh each, drawn from above and from the side."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from itertools import pairwise
 

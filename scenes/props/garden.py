@@ -1,7 +1,5 @@
 """Objects of gardens: sheds, greenhouses, trampolines, washing lines, tables, beds."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Houses with pitched or flat roofs."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from itertools import pairwise
 

@@ -1,7 +1,5 @@
 """Trees, bushes, hedges and rocks."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Swings, slides, climbing frames and goals, nets and lines between posts."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A concrete work pontoon."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from touchdown.scenes.api import Array, Image, Surface

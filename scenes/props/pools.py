@@ -1,7 +1,5 @@
 """Swimming pools and their furniture."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from itertools import pairwise
 

@@ -1,7 +1,5 @@
 """Scrub, tufts of dry grass and slabs of layered rock, as in dry country."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np

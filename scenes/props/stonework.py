@@ -1,7 +1,5 @@
 """Objects of old villages: dry-stone walls, wells, log piles, sheep, electric fences."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import cv2

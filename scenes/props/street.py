@@ -1,8 +1,6 @@
 """Lamps, signs, benches, fences, kerbs, bins; posts, poles and wires, which are invisible from high
 above."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Reeds, decks on piles, boats, buoys and objects of a shore."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from itertools import pairwise
 

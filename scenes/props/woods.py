@@ -1,8 +1,6 @@
 """Woodland: conifers and broad-leaved trees of two geoms each, logs, stumps and undergrowth; their
 meshes and textures."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 

@@ -161,8 +161,7 @@ class _Ground:
         """(2,) a random place."""
         cells = np.argwhere(self._road if roads else self._free)
         row, col = cells[int(rng.integers(len(cells)))]
-        xy: api.Array = self._origin + (np.array([col, row]) + rng.uniform(0.2, 0.8, 2)) * _CELL_M
-        return xy
+        return self._origin + (np.array([col, row]) + rng.uniform(0.2, 0.8, 2)) * _CELL_M
 
     def round(self, rng: np.random.Generator, on_roads: bool) -> api.Array:
         """(K, 3) a closed path of some straight legs, or there and back."""

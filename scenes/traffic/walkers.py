@@ -5,8 +5,6 @@ Reflectivities at 905 nm: skin 0.6, cloth 0.2 to 0.7 whatever its colour, since 
 transparent to the near infrared; rubber and paint 0.05 to 0.3.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any, NamedTuple
 

@@ -1,8 +1,6 @@
 """Facts that decide if a survey can be flown over a scene: take-off spot, ground, obstacles,
 classes, safe area in view; and the difference between two seeds of a scene."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -5,8 +5,6 @@ electrical battery model capable of predicting runtime and I-V performance" (IEE
 Conversion 21, 2006), for a lithium-polymer cell. Behind it is a constant resistance.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """What a vehicle's MJCF must hold so that it can fly and land; each mistake is one line."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from itertools import combinations
 from typing import Any

@@ -1,7 +1,5 @@
 """Contacts of the vehicle, by part, and its height over the ground."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import mujoco

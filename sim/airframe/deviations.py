@@ -1,7 +1,5 @@
 """The true vehicle: deviations from the nominal model, and the telemetry of its rotors."""
 
-from __future__ import annotations
-
 import copy
 import ctypes
 import mmap

@@ -1,7 +1,5 @@
 """MuJoCo's options and the vehicle's start on the ground."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import mujoco

@@ -4,8 +4,6 @@ All numbers are those of the file: sites give places, ``<numeric>`` entries the 
 (docs/vehicles.md).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 

@@ -10,8 +10,6 @@ give way to one another in patches of a metre, so that no tile is seen. Each pix
 as large as itself (a mip level), blended between neighbours where the texel is larger.
 """
 
-from __future__ import annotations
-
 import functools
 import tempfile
 from collections.abc import Iterator

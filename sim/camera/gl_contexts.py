@@ -3,8 +3,6 @@
 A new context of a renderer in software compiles its shaders anew, which takes 0.2 s.
 """
 
-from __future__ import annotations
-
 import atexit
 import contextlib
 import importlib

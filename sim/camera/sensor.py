@@ -5,8 +5,6 @@ worker, turns snapshots into images with an MjData, a GL context and a scene of 
 is free while pixels are drawn and read.
 """
 
-from __future__ import annotations
-
 import threading
 from dataclasses import dataclass
 from typing import Any, NamedTuple

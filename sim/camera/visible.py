@@ -62,8 +62,7 @@ class Frustum:
         """(4, 3) directions of its corners, world frame."""
         left, right, bottom, top = self.slopes
         rays = [[x, y, -1.0] for x in (left, right) for y in (bottom, top)]
-        directions: Array = np.array(rays) @ self.axes.T
-        return directions
+        return np.array(rays) @ self.axes.T
 
 
 class VisibleGeoms:
@@ -218,8 +217,7 @@ def heights_of(model: mujoco.MjModel, field: int) -> Float32:
     """(rows, cols) of a height field, as a fraction of its size."""
     rows, cols = int(model.hfield_nrow[field]), int(model.hfield_ncol[field])
     start = int(model.hfield_adr[field])
-    fractions: Float32 = model.hfield_data[start : start + rows * cols].reshape(rows, cols)
-    return fractions
+    return model.hfield_data[start : start + rows * cols].reshape(rows, cols)
 
 
 def _vertices(heights: Float32, size: Array) -> Float32:

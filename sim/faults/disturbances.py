@@ -17,8 +17,6 @@ the
 - rain: 1.076 R^0.67 dB/km at R mm/h (Carbonneau; Recommendation ITU-R P.1814).
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any

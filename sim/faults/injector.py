@@ -4,8 +4,6 @@ Faults act on messages at the moment of their delivery, so that estimator, mappe
 recorder see the same.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections import deque
 from collections.abc import Callable, Iterable

@@ -1,7 +1,5 @@
 """When a flight reached the phases and heights at which faults begin."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 

@@ -1,7 +1,5 @@
 """Parameters of sensor faults on demand; part of `sim.api`: import them from there."""
 
-from __future__ import annotations
-
 import math
 import re
 from dataclasses import dataclass

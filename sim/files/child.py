@@ -5,8 +5,6 @@ The child has limits of memory and processor time, writes no file, opens no sock
 and ends with this process.
 """
 
-from __future__ import annotations
-
 import contextlib
 import ctypes
 import faulthandler

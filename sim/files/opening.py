@@ -1,7 +1,5 @@
 """Checks of files of users before a library opens them."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import stat

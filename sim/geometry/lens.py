@@ -5,8 +5,6 @@ the camera matrix. The fisheye maps the angle from the axis to the radius, times
 (Kannala and Brandt, PAMI 28, 2006).
 """
 
-from __future__ import annotations
-
 from typing import Protocol
 
 import cv2

@@ -158,8 +158,7 @@ class RayTarget:
 
     def embree(self, rays: Float32) -> dict[str, Any]:
         """The bare cast against the triangles, as Open3D answers it in tensors."""
-        answer: dict[str, Any] = self._scene.cast_rays(self._tensor(rays), nthreads=1)
-        return answer
+        return self._scene.cast_rays(self._tensor(rays), nthreads=1)
 
 
 def body_pose(data: mujoco.MjData, body_id: int) -> Pose:

@@ -5,8 +5,6 @@ in triangles that lie outside of them everywhere, so that no ray that meets the 
 wrapping; where exactly it meets the shape is then a matter of `sim.geometry.quadrics`.
 """
 
-from __future__ import annotations
-
 import math
 from functools import lru_cache
 

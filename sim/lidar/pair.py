@@ -1,7 +1,5 @@
 """Two LIDARs whose scans are merged into one, as drivers do."""
 
-from __future__ import annotations
-
 from zlib import crc32
 
 import numpy as np

@@ -5,8 +5,6 @@ body, or one with joints, with all that hangs on it) has its own scene in its ow
 are carried into that frame. The vehicle, geom groups 3 and above, and invisible geoms are left out.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple

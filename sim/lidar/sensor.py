@@ -5,8 +5,6 @@ limits decides if it returns; water reflects like a rough mirror; a beam that an
 several echoes.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from statistics import NormalDist
 from zlib import crc32

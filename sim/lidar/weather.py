@@ -17,8 +17,6 @@ where that is less: near by, where everything is strong, receivers turn their ga
 per metre of such an echo makes a Poisson process along the beam; its nearest event is reported.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import cached_property

@@ -1,7 +1,5 @@
 """Navigation sensors (GPS, barometer, magnetometer, rangefinder) at their own rates and delays."""
 
-from __future__ import annotations
-
 from typing import Generic, Protocol, TypeVar
 
 import mujoco

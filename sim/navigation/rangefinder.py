@@ -1,7 +1,5 @@
 """A single-beam laser altimeter that looks down along body -z."""
 
-from __future__ import annotations
-
 import math
 
 import mujoco

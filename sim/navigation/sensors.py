@@ -1,7 +1,5 @@
 """Satellite receiver, barometer and magnetometer: readings of the truth with their errors."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Mapping

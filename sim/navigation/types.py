@@ -1,7 +1,5 @@
 """Parameters and messages of the small sensors; part of `sim.api`: import them from there."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import Annotated, Literal
 

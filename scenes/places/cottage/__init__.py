@@ -1,7 +1,5 @@
 """`cottage`: cottages with courtyards along a village lane on a sloped meadow."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

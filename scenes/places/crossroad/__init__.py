@@ -1,7 +1,5 @@
 """`crossroad`: two crossing roads between houses, gardens and rugged lawns."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, field

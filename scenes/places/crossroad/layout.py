@@ -1,7 +1,5 @@
 """Plan of the roads in signed distances; their surfaces, markings, kerbs and traffic."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import pairwise

@@ -1,8 +1,6 @@
 """`deck`: a boat under way, a truck on a road or a barge at rest, on which a vehicle can land. It
 takes off from a pontoon, or beside the road, and the deck comes by in front of it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

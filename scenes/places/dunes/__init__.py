@@ -1,8 +1,6 @@
 """`dunes`: crests of sand across the wind with slip faces, and the flats between them, with scrub,
 tufts of dry grass and outcrops of layered rock."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import cv2

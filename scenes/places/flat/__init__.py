@@ -4,8 +4,6 @@ The ground is exactly level and without objects, so that ranges hold no informat
 along it; only the texture does.
 """
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import cv2

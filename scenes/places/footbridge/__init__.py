@@ -1,7 +1,5 @@
 """`footbridge`: a footbridge over a stream, or over a road in a cutting, between lawns."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,8 +1,6 @@
 """Plan of the stream or road and of the bridge over it, the ground that both are cut into, and the
 bridge itself."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from itertools import pairwise
 

@@ -1,7 +1,5 @@
 """`forest`: wooded hills with clearings, a brook and a track."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray

@@ -1,7 +1,5 @@
 """Plan of the clearings, the track and the brook."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -215,5 +213,4 @@ def _clear(
     slope = np.tan(np.deg2rad(rng.uniform(*slopes_deg[clearing.kind])))
     plane = float(heights[inside].mean()) + slope * (rel @ unit)
     plane = plane + roughness[clearing.kind] * rough
-    blended: Array = plane + (heights - plane) * smoothstep(-0.3, 6.5, distance)
-    return blended
+    return plane + (heights - plane) * smoothstep(-0.3, 6.5, distance)

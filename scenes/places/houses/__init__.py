@@ -1,7 +1,5 @@
 """`houses`: a settlement of streets, houses with gardens, and a green with a playground."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

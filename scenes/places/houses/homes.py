@@ -1,7 +1,5 @@
 """A house with its drive, front garden and back garden."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

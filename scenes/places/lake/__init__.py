@@ -1,7 +1,5 @@
 """`lake`: a lake with beach, reeds, jetty and boats between meadows."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 

@@ -1,8 +1,6 @@
 """Course and materials of the shore: a signed distance from which relief, texture and objects are
 derived."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from enum import IntEnum
 

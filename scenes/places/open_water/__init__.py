@@ -1,8 +1,6 @@
 """`open_water`: a level sheet of 256 x 256 m around the only ground to land on: a raft, a pontoon
 or an islet, by the seed."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """`pools`: a swimming bath: basins, deck, sunshades, and a sports field beside them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from itertools import pairwise
 

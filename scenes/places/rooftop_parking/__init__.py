@@ -1,7 +1,5 @@
 """`rooftop_parking`: a flat roof used as a car park, above the streets of a town."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial

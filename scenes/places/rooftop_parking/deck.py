@@ -1,7 +1,5 @@
 """Plan of the building and the streets; its roof with falls, markings and objects."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any

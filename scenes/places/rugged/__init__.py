@@ -1,8 +1,6 @@
 """`rugged`: ground by dials, in six kinds. Relief of a real spectrum, rocks by the size-frequency
 law, plants or snow, grooves, and a given fraction of safe ground."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from touchdown.scenes.api import Array, RuggedParams, Surface

@@ -1,7 +1,5 @@
 """What lies and grows on rugged ground: boulders, logs and stumps, scrub, tussocks."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import cv2

@@ -1,8 +1,6 @@
 """Safe ground as a dial: lumps where too much of the ground is safe, and cleared pads where too
 little is. Safe is what the geometric rule of the truth maps says of the nodes."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np

@@ -1,7 +1,5 @@
 """`snow`: fresh snow over gentle relief, with drifts, tracks, a hut and a frozen pond."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 

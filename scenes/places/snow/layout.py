@@ -1,7 +1,5 @@
 """Plan and relief of the snow field: swells, drifts, sastrugi and the pond."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,8 +1,6 @@
 """Objects in the snow: conifers and bushes under snow, hut, fences, boulders, poles, and the ice of
 the pond."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray

@@ -1,7 +1,5 @@
 """`turf`: wide mown grass: a sports ground, a golf course or an airfield."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy import ndimage
 

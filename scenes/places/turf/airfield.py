@@ -1,7 +1,5 @@
 """A grass airfield: a mown runway with its markings, a windsock, parked aircraft, a hangar."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A hole of a golf course: fairway, green, bunkers, a pond, rough with trees."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.spatial import cKDTree
 

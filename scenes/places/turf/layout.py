@@ -1,7 +1,5 @@
 """Parts of all three kinds of turf: lines, edge planting, a footpath."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 from typing import Protocol
 

@@ -1,7 +1,5 @@
 """A football ground: the pitch, its lines and goals, floodlights and a stand on a bank."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import numpy as np
