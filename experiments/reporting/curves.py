@@ -71,6 +71,15 @@ def dial_frames(rows: Sequence[Row], frame: pd.DataFrame, dials: Sequence[str]) 
     return {dial: own for dial, own in found.items() if own["dial"].nunique() >= MIN_LEVELS}
 
 
+def methods_over(rows: Sequence[Row], frame: pd.DataFrame, dials: Sequence[str]) -> pd.DataFrame:
+    """All flights, with ``estimator`` as of `dial_frames` and the values of the dials as
+    ``condition``."""
+    known = {str(row["run_id"]): config_numbers(row, dials) for row in rows}
+    values = [str(list(known[str(name)].values())) for name in frame["run_id"]]
+    methods = [_method(row) for row in frame.to_dict("records")]
+    return frame.assign(condition=values, estimator=methods)
+
+
 def _method(row: Mapping[Any, Any]) -> str:
     """``livo + zou2024`` for that estimator with that selector."""
     parts = (row.get(f"parts.{kind}") for kind in PartNames.model_fields)

@@ -26,7 +26,7 @@ from touchdown.experiments.reporting.comparison import (
     level_table,
     varying_words,
 )
-from touchdown.experiments.reporting.curves import curves, dial_frames, dials_of
+from touchdown.experiments.reporting.curves import curves, dial_frames, dials_of, methods_over
 from touchdown.experiments.reporting.figures import Picture, pictures_of
 from touchdown.experiments.reporting.flights import (
     Row,
@@ -94,15 +94,17 @@ def make_report(
     """Returns the report of the flights ``rows`` (see `flights.load_flights`); ``verdicts``: on the
     expectations of the campaign; ``first``: its first condition, with which the others are
     compared; ``paper``: with the paper's figures beside ours, and by the numbers of its tables.
-    Every figure is of the flights of one condition. Tables are of at most `tables.MAX_COLUMNS`
-    columns, but for those of the paper."""
+    Every figure is of the flights of one condition, but for methods compared over dials. Tables are
+    of at most `tables.MAX_COLUMNS` columns, but for those of the paper."""
     add_path_deviation(rows)
     label_conditions(rows)
     frame = frame_of(sorted(rows, key=lambda row: (row["condition"] != first, row["condition"])))
     pictures = _pictures(frame, paper)
-    drawn_dials = [] if paper else dial_frames(rows, frame, dials_of(configuration)).items()
-    dials = [curves(dial, flown) for dial, flown in drawn_dials]
-    differences, shown = difference_tables(frame, ["condition"] if dials else [])
+    drawn_dials = {} if paper else dial_frames(rows, frame, dials_of(configuration))
+    dials = [curves(dial, flown) for dial, flown in drawn_dials.items()]
+    paired = methods_over(rows, frame, list(drawn_dials)) if dials else frame
+    differences, shown = difference_tables(paired, ["condition"] if dials else [])
+    compared = paired.assign(condition="") if dials else frame
 
     def drawn(*names: str) -> list[Picture]:
         return [picture for picture in pictures if picture.name.startswith(names)]
@@ -110,10 +112,10 @@ def make_report(
     sections = [
         Section("curves", "Where it ends", [line for *_, words in dials for line in words],
                 [table for table, *_ in dials], [picture for _, picture, _ in dials]),
-        Section("varies", "What varies" if factors_of(frame) else "At a glance",
-                [*varying_words(frame, configuration), *part_words(rows), *shown],
-                [level_table(frame), *differences]),
-        Section("summary", "Outcomes", summary_words(frame)),
+        Section("varies", "What varies" if factors_of(compared) else "At a glance",
+                [*varying_words(compared, configuration), *part_words(rows), *shown],
+                [level_table(compared), *differences]),
+        Section("summary", "Outcomes", summary_words(compared)),
         Section("flights", "Flights", tables=[flight_table(frame)]),
         Section("accuracy", "Accuracy", tables=[accuracy_table(frame, paper=paper)]),
         Section("axes", "Errors by axis", [], [axis_table(frame, paper=paper)], drawn("fig10")),

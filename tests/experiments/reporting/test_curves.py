@@ -42,9 +42,9 @@ def landings(method: str, half_at: float, seeds: int = 25, effect: float = 0.25)
     ]  # fmt: skip
 
 
-def section(rows: list[Any], text: str = TEXT) -> Section:
+def section(rows: list[Any], text: str = TEXT, key: str = "curves") -> Section:
     (found,) = (s for s in make_report(rows, title="c", configuration=text).sections
-                if s.key == "curves")  # fmt: skip
+                if s.key == key)  # fmt: skip
     return found
 
 
@@ -152,6 +152,21 @@ def test_a_curve_is_of_one_set_of_parts() -> None:
         row["parts.selector"] = "lab:build"
     names = [row[0].text for row in section(rows).tables[0].rows]
     assert names == ["`livo`", "`livo + lab:build`"]
+
+
+def test_selectors_are_compared_over_all_values_of_a_dial_and_at_equal_ones() -> None:
+    rows = landings("livo", 35.0, 9)
+    others = [
+        row | {"parts.selector": "lab:build", "condition": f"lab-{row['condition']}",
+               "landing.target_offset_m": row["landing.target_offset_m"] + 0.5}
+        for row in rows
+    ]  # fmt: skip
+    found = section(rows + others, key="varies")
+    assert found.words[0] == "Varies: method (`livo`, `livo + lab:build`)."
+    levels, differences = found.tables
+    assert [row[1].text for row in levels.rows] == ["54", "54"]
+    offset = differences.numbers["landing.target_offset_m"]
+    assert offset["value"] == pytest.approx(0.5) and offset["flights"] == 54
 
 
 def test_ranges_and_sweeps_become_runs(tmp_path: Path) -> None:
