@@ -3,8 +3,6 @@
 Loads with numpy alone, so that an external estimator can be written against it.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """Height of the ground below a rangefinder that points down along the body axis."""
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from collections.abc import Sequence
@@ -38,8 +36,7 @@ class GroundBelow:
         near = min(self._echoes, key=lambda echo: abs(echo[0] - time_s), default=None)
         if near is None or abs(near[0] - time_s) > self._nearest_s:
             return None
-        spot: Array = self._mount + near[1] * self._down
-        return spot
+        return self._mount + near[1] * self._down
 
     def take(self, samples: Sequence[RangefinderSample], state: NavState) -> None:
         """Updates by the ``samples`` since the last call, up to the filter's state."""

@@ -6,8 +6,6 @@ is reported as an event. Plausible outliers are left to the filters' innovation 
 ``filtering.deskew.screen_scan`` then selects the returns within the sensor's limits.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import re

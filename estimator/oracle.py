@@ -1,7 +1,5 @@
 """The oracle: an estimator that returns the true state, as the upper bound of every comparison."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

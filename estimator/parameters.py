@@ -1,7 +1,5 @@
 """Parameters of mapper and estimators; part of `estimator.api`: import them from there."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Annotated, ClassVar
 

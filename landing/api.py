@@ -1,7 +1,5 @@
 """The public interface of landing: selection, classification, lander and their parameters."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum

@@ -1,7 +1,5 @@
 """Parameters of landing; part of `landing.api`."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import Annotated, ClassVar, Literal
 

@@ -1,7 +1,5 @@
 """Types of the watch: what it is given while the vehicle descends, and what it answers."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Literal, Protocol

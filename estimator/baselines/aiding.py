@@ -4,8 +4,6 @@ Error coordinates as in ``estimator.filtering.error_state``. The odometry frame 
 world.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

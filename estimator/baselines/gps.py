@@ -6,8 +6,6 @@ correlation time longer than the flight, so that averaging does not reduce it: t
 the fixes.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -10,8 +10,6 @@ by the attitude, so that the flow depends only on the displacement and the heigh
 ground. (De-rotation by the gyroscope, as in every optical flow sensor.)
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import cv2
@@ -123,16 +121,14 @@ def level_directions(pixels: Array, camera: CameraIntrinsics, world_from_camera:
     a direction does not point down."""
     world = bearing_rays(pixels, camera) @ world_from_camera.T
     down = np.where(world[:, 2] < -_MIN_DESCENT, -world[:, 2], np.nan)
-    directions: Array = world[:, :2] / down[:, None]
-    return directions
+    return world[:, :2] / down[:, None]
 
 
 def pixels_of(directions: Array, camera: CameraIntrinsics, world_from_camera: Array) -> Array:
     """The inverse of ``level_directions``: (N, 2) pixels."""
     world = np.column_stack([directions, np.full(len(directions), -1.0)])
     rays = world @ world_from_camera
-    pixels: Array = rays[:, :2] / rays[:, 2:] * [camera.fx, camera.fy] + [camera.cx, camera.cy]
-    return pixels
+    return rays[:, :2] / rays[:, 2:] * [camera.fx, camera.fy] + [camera.cx, camera.cy]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -1,7 +1,5 @@
 """The inertial filter of the baselines: order of their messages, alignment, heading and height."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -177,8 +175,7 @@ class Alignment:
 
     def mean_force(self) -> Array:
         """(3,) m/s^2, body axes."""
-        mean: Array = self._force / max(self._forces, 1)
-        return mean
+        return self._force / max(self._forces, 1)
 
     def heading_sigma(self) -> float:
         """rad: error of the heading from what remains of the magnetometer's calibration."""

@@ -11,8 +11,6 @@ and a robust fit makes it a displacement in metres. The filter fuses it with the
 velocity; fixes give the position in the world.
 """
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 
@@ -368,5 +366,4 @@ class HybridFlowEstimator:
 def _rotated(directions: Array, rotation: Array) -> Array:
     """Level directions (N, 2) after a small rotation (3, 3) of the world's axes."""
     rays = np.column_stack([directions, np.full(len(directions), -1.0)]) @ rotation.T
-    rotated: Array = rays[:, :2] / -rays[:, 2:]
-    return rotated
+    return rays[:, :2] / -rays[:, 2:]

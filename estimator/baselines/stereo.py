@@ -11,8 +11,6 @@ left one is not: by 0.05 degrees it moves all disparities by a third of a pixel,
 height of the ground shows, and that is what the pair measures.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 
@@ -77,8 +75,7 @@ class GroundHeight:
         """(N,) depths at which rays (N, 3), z = 1, meet the ground; NaN where they do not."""
         down = -(rays @ odom_from_camera.rotation[2])
         height = max(float(odom_from_camera.translation[2]) - self.height_m, _MIN_DEPTH_M)
-        depths: Array = height / np.where(down > 0.2, down, np.nan)
-        return depths
+        return height / np.where(down > 0.2, down, np.nan)
 
     def take(
         self, rays: Array, shifts: Array, odom_from_camera: Pose, scale: float, time_s: float
@@ -288,8 +285,7 @@ class StereoEstimator:
         points = now_from_key.apply(landmarks)
         depth = np.where(points[:, 2] > 0.02, points[:, 2], np.nan)
         focal, centre = np.array([camera.fx, camera.fy]), np.array([camera.cx, camera.cy])
-        pixels: Array = points[:, :2] / depth[:, None] * focal + centre
-        return pixels
+        return points[:, :2] / depth[:, None] * focal + centre
 
     def _iterate(self, keyframe: _Keyframe, found: Indices, pixels: Array) -> tuple[int, float]:
         """Iterated update by reprojections (frame to keyframe) of the corners ``found`` (N,) at

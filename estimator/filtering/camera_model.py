@@ -99,8 +99,7 @@ def ground_depths(pixels: Array, camera: CameraIntrinsics, pose: Pose, ground_m:
     (N, 2). ``pose``: of the camera, z up."""
     height = max(float(pose.translation[2]) - ground_m, _NEAREST_M)
     down = -bearing_rays(pixels, camera) @ pose.rotation[2]
-    depths: Array = height / np.maximum(down, 1.0 / _FARTHEST_HEIGHTS)
-    return depths
+    return height / np.maximum(down, 1.0 / _FARTHEST_HEIGHTS)
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -139,8 +138,7 @@ class ShutterModel:
     def row_delays(self, pixels: Array, late_s: float) -> Array:
         """Delays (N,) s of the rows of ``pixels`` (N, 2) after the instant."""
         fraction = pixels[:, 1] / max(self._camera.height - 1, 1) - 0.5
-        delays: Array = late_s + self._readout_s * np.clip(fraction, -0.5, 0.5)
-        return delays
+        return late_s + self._readout_s * np.clip(fraction, -0.5, 0.5)
 
     def to_instant(self, pixels: Array, depths: Array, twist: CameraTwist) -> Array:
         """Pixels (N, 2) at the instant, of ``pixels`` (N, 2) found in the image. ``depths`` (N,)

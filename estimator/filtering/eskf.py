@@ -8,8 +8,6 @@ Roumeliotis and Burdick 2002 ("Stochastic cloning"). Degenerate directions of a 
 lateral motion over level ground, are found and removed in that form.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -57,8 +55,7 @@ def limit_information(information: Array, errors: Array) -> Array:
     independent ``errors`` of covariance F (D, D) added, which do not average out over its
     residuals. ``(A^-1 + F)^-1 = (I + A F)^-1 A`` holds for a singular A as well."""
     limited = np.linalg.solve(np.eye(len(errors)) + information @ errors, information)
-    symmetric: Array = 0.5 * (limited + limited.T)
-    return symmetric
+    return 0.5 * (limited + limited.T)
 
 
 def square_root(matrix: Array) -> Array:

@@ -7,8 +7,6 @@ a stream and the delays of its last messages. With constant delays nothing is he
 where messages are lost.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections import deque
 from collections.abc import Mapping

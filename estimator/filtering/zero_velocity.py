@@ -1,7 +1,5 @@
 """Updates of the filter while the vehicle stands on the ground with slow rotors."""
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -18,8 +18,6 @@ that the beam meets is a measurement of the length of that way: of the pose now 
 keyframe. Relief does not matter, as both see the same roof or crown.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 from zlib import crc32
 
@@ -226,5 +224,4 @@ def _ratios(ground: SeenGround, spot: Array, params: LivoParams) -> Array:
     min_m = params.range_scale_way * float(spot[2])
     if len(near) < params.range_scale_landmarks or float(np.linalg.norm(ground.way)) < min_m:
         return np.zeros(0)
-    ratios: Array = np.log(spot[2] / near[:, 2])
-    return ratios
+    return np.log(spot[2] / near[:, 2])

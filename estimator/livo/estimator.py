@@ -12,8 +12,6 @@ them, and the rangefinder gives the way since their keyframe its length
 (``depth_without_returns``).
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from touchdown.estimator.api import Estimate, LivoParams, PoseTrack

@@ -1,7 +1,5 @@
 """Visual update: reprojection of the landmarks of a few keyframes into the present image."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

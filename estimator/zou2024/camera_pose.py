@@ -1,7 +1,5 @@
 """Camera positioning: landmarks at keyframes, PnP, and growth of the visual map."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 

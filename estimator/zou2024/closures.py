@@ -2,8 +2,6 @@
 by a pose graph of the keyframes, and the odometry frame follows at a bounded rate.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -323,8 +321,7 @@ def hop_covariance(before: Array, now: Array, source: Pose, target: Pose) -> Arr
     grown[:, 3:] = grown[:, 3:] @ source.rotation
     scale = np.outer(_HOP_FLOOR_SIGMAS, _HOP_FLOOR_SIGMAS)
     values, axes = np.linalg.eigh(0.5 * (grown + grown.T) / scale)
-    covariance: Array = scale * ((axes * np.maximum(values, 1.0)) @ axes.T)
-    return covariance
+    return scale * ((axes * np.maximum(values, 1.0)) @ axes.T)
 
 
 _ITERATIONS = 300
@@ -444,5 +441,4 @@ class LoopVerifier:
             )  # fmt: skip
             information += part.information[POSE, POSE]
             excess += part.used * part.rms**2 / (2.0 * sigma**2)
-        scaled: Array = information / max(1.0, excess / len(inliers))
-        return scaled
+        return information / max(1.0, excess / len(inliers))

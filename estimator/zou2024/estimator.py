@@ -1,7 +1,5 @@
 """The paper's positioning: LIDAR and camera poses, loosely coupled."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections import deque
 from collections.abc import Sequence

@@ -12,8 +12,6 @@ they are near. Those of the working memory may close a loop. The rest is in long
 without words, until retrieved.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import NamedTuple
@@ -270,8 +268,7 @@ class Memory:
         mine = [at[number] for number in self.working]
         if not mine:
             return np.zeros((0, 0))
-        found: Array = dijkstra(graph, indices=mine, unweighted=True, limit=REACH)[:, mine]
-        return found
+        return dijkstra(graph, indices=mine, unweighted=True, limit=REACH)[:, mine]
 
     def connect(self, old: int, new: int) -> None:
         """Links a location with one that it is a revisit of; the weight goes to the new one."""

@@ -7,8 +7,6 @@ the calibration, and of the keyframes that its landmarks and map points belong t
 then the error of a keyframe, which the filter knows.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

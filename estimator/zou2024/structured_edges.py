@@ -1,7 +1,5 @@
 """Edge energy of an image: how likely each pixel lies on a boundary, in [0, 1]."""
 
-from __future__ import annotations
-
 import gzip
 import re
 import zlib

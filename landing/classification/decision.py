@@ -5,8 +5,6 @@ to at least a limit, and the image does not lie far from the training data. Scor
 softmax are (N, 7), in the order of ``scenes.api.LAND_CLASSES``.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

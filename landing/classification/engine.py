@@ -1,7 +1,5 @@
 """Inference of a trained network in ONNX Runtime, without torch."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Callable
 from pathlib import Path

@@ -9,8 +9,6 @@ the veil grows with height as e and A predict, the ground does not (Nayar and Na
 bad weather", ICCV 1999, take depth from haze; here depth is known).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The two label schemes of ground."""
 
-from __future__ import annotations
-
 from touchdown.scenes.api import LAND_CLASSES
 
 D_LAND: tuple[str, ...] = LAND_CLASSES

@@ -1,8 +1,6 @@
 """Loads a network's file and classifies images in a child process first, since what a graph needs
 does not follow from its size."""
 
-from __future__ import annotations
-
 import functools
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """``landing.api.GroundClassifier`` of a network's file, in ONNX Runtime."""
 
-from __future__ import annotations
-
 import functools
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Metrics of a classifier. Scores before the softmax are (N, C), labels (N,) index into C."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -8,8 +8,6 @@ before. Views of one network over one ground share its errors: together they cou
 ``landing.semantics.max_views`` at most.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -7,8 +7,6 @@ probability of a safe class is too low, where the image lies far from the traini
 no image shows the site. At night the last is left to the recheck, under the lamp.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass

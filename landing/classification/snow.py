@@ -7,8 +7,6 @@ and roofs, whose snow is that of a building. So snow is bright ground that is co
 step, over a wide area. In an image it is white like a pale roof.
 """
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 

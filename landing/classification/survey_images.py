@@ -8,8 +8,6 @@ the vehicle's lamp: the former are not used, the latter are smoothed and brighte
 daylight, which is what the classifier knows.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import cv2

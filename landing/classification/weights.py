@@ -1,7 +1,5 @@
 """The file of a trained network: ONNX with float16 weights, and its checksum file."""
 
-from __future__ import annotations
-
 import hashlib
 import math
 from collections.abc import Mapping

@@ -4,8 +4,6 @@ References are offsets from the site of the deck as `Estimate.deck` has it, so t
 position does not matter. There is no map and no watch: what moves below is the site.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Generator

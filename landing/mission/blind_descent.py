@@ -7,8 +7,6 @@ integral from the moment of the loss leads to ground that was seen before it. Ti
 grow: the descent is fast, and its end that of a vehicle which does not know its height.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

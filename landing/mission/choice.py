@@ -1,7 +1,5 @@
 """One landing decision: candidate sites of the map, checked by ground classification."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 from typing import NamedTuple

@@ -1,7 +1,5 @@
 """The descent: rechecks at 10 m and 4 m, commitment, final descent, touchdown."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Cost of flight segments in seconds of the battery's remaining flight time."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from touchdown.landing.api import LandingParams, SurveyParams

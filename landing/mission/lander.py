@@ -1,7 +1,5 @@
 """The lander: the landing state machine behind ``landing.api.Lander``."""
 
-from __future__ import annotations
-
 from touchdown.controller.api import Setpoint
 from touchdown.estimator.api import Estimate, MapView
 from touchdown.landing.api import (

@@ -1,7 +1,5 @@
 """When the watch is asked, and what it is told."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any
 

@@ -1,7 +1,5 @@
 """One mission: its view of the control step, its state, and the reference that it moves."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Callable, Generator

@@ -1,7 +1,5 @@
 """The phases of a landing mission, each a generator that yields one setpoint a control step."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Generator
 
 import numpy as np

@@ -5,8 +5,6 @@ where it decides, else None. Of the rules that are asked at one moment the first
 counts, and the events of the flight list it by its name.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum

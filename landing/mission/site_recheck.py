@@ -1,8 +1,6 @@
 """The recheck of the site from 10 m and 4 m, on the fine map, and the best ground in view for a
 descent that can neither choose a site nor look for another."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What a mission has decided so far."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Iterable
 from typing import Literal

@@ -5,8 +5,6 @@ rises by more than a fifth of that height, the path is lifted by the rest. Over 
 changes, to the bit. The lift follows as a critically damped oscillator of bounded rate.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from touchdown.estimator.api import MapView

@@ -1,7 +1,5 @@
 """Touchdown detection from the IMU and the motors' telemetry, without a contact sensor."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

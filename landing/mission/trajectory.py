@@ -5,8 +5,6 @@ two states of position, velocity and acceleration (Flash and Hogan 1985; Mueller
 2015), so that the acceleration is continuous where two of them meet.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field

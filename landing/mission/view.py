@@ -1,7 +1,5 @@
 """The inputs of one control step, as the rules of the mission see them."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -6,8 +6,6 @@ at its ends: ``v (u + (3 s^2 - 2 s^3) (w - u))`` for s from 0 to 1, whose larges
 ``1.5 v |w - u| / T``. The speed of a turn is the one that this allows.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from touchdown.landing.api import LandingParams, SurveyParams

@@ -5,8 +5,6 @@ An external selector offers sites; what the lander does with them is the same as
 shipped selectors: the gate ``class``, the recheck and go-arounds.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 

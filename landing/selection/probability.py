@@ -7,8 +7,6 @@ ground-truth maps by ``touchdown bench selector --fit``. Every coefficient excep
 negative: a higher feature never raises the probability.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import cv2

@@ -1,7 +1,5 @@
 """The order of candidate sites, and why the first one won, in one sentence."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections import Counter

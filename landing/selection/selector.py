@@ -1,7 +1,5 @@
 """Site selection: candidate landing sites of a map, best first (section 4 of the paper)."""
 
-from __future__ import annotations
-
 import dataclasses
 from dataclasses import dataclass
 

@@ -5,8 +5,6 @@ the terms of a site explain its rank: there is no second computation. The gate `
 `landing.classification.site_check`, which sees images.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
@@ -242,5 +240,4 @@ def _unknown_terms(site: Inputs) -> list[str]:
 
 
 def _measured(site: Inputs, name: str) -> NDArray[np.float32]:
-    layer: NDArray[np.float32] = site.landable.slope_deg if name == "slope" else getattr(site, name)
-    return layer
+    return site.landable.slope_deg if name == "slope" else getattr(site, name)

@@ -1,7 +1,5 @@
 """The ground under the legs, and the nearest ground that is safe to stand on."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import NamedTuple

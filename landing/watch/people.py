@@ -4,8 +4,6 @@ The network is fully convolutional and marks the middle of everybody with the si
 CenterNet does (Zhou, Wang and Krähenbühl, "Objects as points", arXiv 1904.07850, 2019).
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """Who has been seen lately in images, and where he stands."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -112,8 +110,7 @@ class Sightings:
         drop = ground_z + _MIDDLE_M - camera.translation[2]
         if ray[2] >= -0.1 or drop >= -0.3:
             return None
-        place: Array = (camera.translation + drop / ray[2] * ray)[:2]
-        return place
+        return (camera.translation + drop / ray[2] * ray)[:2]
 
     def _in_image(self, xy: Array, camera: Pose, ground_z: float) -> bool:
         """Whether the middle of somebody at ``xy`` (2,) is well inside of the image."""

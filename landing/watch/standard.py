@@ -1,7 +1,5 @@
 """The standard watch: is it safe to go on with the descent?"""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Things that stand on the ground: found in one scan, followed over the next."""
 
-from __future__ import annotations
-
 import itertools
 from collections import deque
 from dataclasses import dataclass, field

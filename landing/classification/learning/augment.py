@@ -5,8 +5,6 @@ All random numbers except the pixel noise are drawn on the CPU from one generato
 the same on every device.
 """
 
-from __future__ import annotations
-
 import math
 
 import torch

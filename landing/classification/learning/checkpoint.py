@@ -1,7 +1,5 @@
 """The checkpoint of a training, from which it resumes, and the weights that one begins with."""
 
-from __future__ import annotations
-
 import json
 import os
 import pickle

@@ -13,8 +13,6 @@ A small network learns what several know together (Hinton, Vinyals and Dean, 201
 CVPR 2022: teachers see the same augmented images).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from zlib import crc32

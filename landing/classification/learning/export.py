@@ -4,8 +4,6 @@ Matrices and filters are stored as float16 under their torch names and cast to f
 biases and the parameters of the norms stay float32, a thousandth of the file.
 """
 
-from __future__ import annotations
-
 import tempfile
 import warnings
 from pathlib import Path

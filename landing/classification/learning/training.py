@@ -1,7 +1,5 @@
 """Training a network on labelled images: AdamW, cosine schedule, averaged weights, early stop."""
 
-from __future__ import annotations
-
 import copy
 import math
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Blocks that networks share: convolution with batch normalisation, pooling, initialisation."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor, nn
 from torch.nn import functional

@@ -1,7 +1,5 @@
 """Inception-v4 without auxiliary ends (Szegedy et al., AAAI 2017, Figs. 3 to 9)."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor, nn
 

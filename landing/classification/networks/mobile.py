@@ -7,8 +7,6 @@ MobileNetV3's authors, 0.99 of what was before, they would not have arrived when
 ends.
 """
 
-from __future__ import annotations
-
 import importlib
 from collections.abc import Sequence
 from pathlib import Path

@@ -5,8 +5,6 @@ The stride of a bottleneck is in its 3x3 convolution, as in every network publis
 since Goyal et al. (2017).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import partial
 
@@ -85,8 +83,7 @@ class Residual(nn.Module):
 
     def forward(self, features: Tensor) -> Tensor:
         change = self.attention(self.branch(features))
-        rest: Tensor = self.relu(self.shortcut(features) + change)
-        return rest
+        return self.relu(self.shortcut(features) + change)
 
 
 def _basic(inside: int, width: int, stride: int) -> list[ConvNorm]:

@@ -1,7 +1,5 @@
 """VGG19, configuration E of Simonyan and Zisserman (ICLR 2015)."""
 
-from __future__ import annotations
-
 from torch import nn
 
 from touchdown.landing.classification.networks.blocks import MeanGrid

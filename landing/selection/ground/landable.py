@@ -5,8 +5,6 @@ if its footprint, widened by the error of the map, contains none and nothing tal
 The class of the ground is checked by ``landing.classification``.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import NamedTuple

@@ -8,8 +8,6 @@ returns come from the ground. A post, a kerb, a rope or a tuft by itself is narr
 log lets no pulse through, so that the lowest returns over it make a step; both stay what they were.
 """
 
-from __future__ import annotations
-
 import dataclasses
 
 import cv2

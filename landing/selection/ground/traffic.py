@@ -4,8 +4,6 @@ A surface on which motion was observed is extended over connected cells of the s
 vehicles may drive anywhere on it. The class of the ground is left to ground classification.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import cv2
@@ -27,8 +25,7 @@ def surface_of(raster: ElevationRaster, cells: Mask, params: LandingParams) -> M
     alike = raster.known & (np.abs(intensity - typical) <= params.traffic_same_intensity * typical)
     _, labels = cv2.connectedComponents(alike.astype(np.uint8), connectivity=4)
     connected = np.unique(labels[cells & alike])
-    surface: Mask = np.isin(labels, connected[connected > 0])
-    return surface
+    return np.isin(labels, connected[connected > 0])
 
 
 def surfaces_of_sites(
