@@ -29,7 +29,12 @@ from touchdown.landing.selection.ground.elevation_raster import (
     fit_planes,
     observed_raster,
 )
-from touchdown.landing.selection.ground.landable import Defect, assess, ground_planes
+from touchdown.landing.selection.ground.landable import (
+    Defect,
+    assess,
+    ground_planes,
+    max_step_m,
+)
 from touchdown.landing.selection.ground.plants import standing_plants, without_plants
 from touchdown.scenes.api import Scene
 from touchdown.scenes.truth.static_surface import cast_down
@@ -58,6 +63,8 @@ class Things(NamedTuple):
     """(k,) diameter of the circle of the same area"""
     level: Mask
     """cells whose plane is less steep than ``landing.max_slope_deg``"""
+    step: Mask
+    """cells around which the ground itself rises by more than the limit of the map's rule"""
 
 
 def true_things(heights: Array, params: LandingParams) -> Things:
@@ -67,11 +74,14 @@ def true_things(heights: Array, params: LandingParams) -> Things:
     label, count = ndimage.label(rise > 0.5 * params.max_step_m, np.ones((3, 3)))
     numbers = np.arange(1, count + 1)
     area = ndimage.sum_labels(np.ones_like(rise), label, numbers) * _CELL_M**2
+    window = 2 * round(params.ground.step_half_width_m / _CELL_M) + 1
+    span = ndimage.maximum_filter(heights, window) - ndimage.minimum_filter(heights, window)
     return Things(
         label=label,
         rise_m=np.asarray(ndimage.maximum(rise, label, numbers)).reshape(-1),
         size_m=np.sqrt(4.0 / np.pi * np.asarray(area)).reshape(-1),
         level=np.rad2deg(plane.angle_rad) <= params.max_slope_deg,
+        step=span > max_step_m(params, margins=True),
     )
 
 
@@ -80,9 +90,10 @@ def compared(
 ) -> list[dict[str, Any]]:
     """One row for each thing that rises more than ``landing.max_step_m``, which is ``hit`` where a
     cell of ``flags`` (rows, cols) lies within a cell of it; and one for each flagged cell, ``hit``
-    where it is that near to such a thing or has it in the window of a step; its size is that of the
-    flagged area. Both where the ground is near and not too steep. What rises between half of that
-    and the whole counts as neither missed nor falsely found."""
+    where it is that near to such a thing or to a step of the ground, or has the thing in the window
+    of a step; its size is that of the flagged area. Both where the ground is near and not too
+    steep. What rises between half of that and the whole counts as neither missed nor falsely
+    found."""
     side = things.label.shape[0]
     at = np.arange(side) * _CELL_M + 0.5 * _CELL_M
     col, row = (np.floor((o + at - r) / raster.cell_m).astype(int)
@@ -103,6 +114,7 @@ def compared(
     window = reach + round(params.ground.step_half_width_m / _CELL_M)
     seen, close = (ndimage.maximum_filter(layer, size=2 * window + 1)
                    for layer in (things.label > 0, hazard[things.label]))  # fmt: skip
+    close |= ndimage.maximum_filter(things.step, size=2 * reach + 1)
     for number in np.unique(groups[judged & (groups > 0)]):
         own = groups == number
         size = float(np.sqrt(4.0 / np.pi * own.sum()) * _CELL_M)

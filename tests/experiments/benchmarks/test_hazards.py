@@ -45,6 +45,13 @@ def test_rocks_are_found_missed_or_imagined() -> None:
     assert rows(things, (5, 35)) == [("recall", False)]  # too far to be judged
 
 
+def test_a_ledge_is_a_right_find_although_nothing_stands_on_it() -> None:
+    for high, hit in ((0.09, True), (0.06, False)):
+        heights = np.zeros((140, 140))
+        heights[70:] = high
+        assert rows(true_things(heights, PARAMS), (35, 35)) == [("precision", hit)]
+
+
 def test_what_stands_on_steep_ground_does_not_count() -> None:
     assert rows(true_things(ground(9.0), PARAMS), (35, 35)) == []
 
