@@ -99,8 +99,7 @@ def difference_of_normals(
         cloud.estimate_normals(o3d.geometry.KDTreeSearchParamRadius(radius), False)
         cloud.orient_normals_towards_camera_location()
         normals.append(np.asarray(cloud.normals).copy())
-    difference: Array = 0.5 * np.linalg.norm(normals[0] - normals[1], axis=1)
-    return difference
+    return 0.5 * np.linalg.norm(normals[0] - normals[1], axis=1)
 
 
 def _flat_parts(points: Array) -> list[Array]:

@@ -180,8 +180,7 @@ def write_table(rows: Sequence[Mapping[str, Any]], path: Path, stamp: str = "") 
 def _read_table(path: Path) -> list[dict[str, Any]]:
     import pyarrow.parquet as pq
 
-    rows: list[dict[str, Any]] = pq.ParquetFile(path).read().to_pylist()
-    return rows
+    return pq.ParquetFile(path).read().to_pylist()
 
 
 def is_campaign(directory: Path) -> bool:

@@ -99,8 +99,7 @@ def fly(task: Task) -> dict[str, Any]:
 
 def _runner(task: Task) -> Callable[[Config, Path], RunResult]:
     module, _, function = task.runner.partition(":")
-    runner: Callable[[Config, Path], RunResult] = getattr(importlib.import_module(module), function)
-    return runner
+    return getattr(importlib.import_module(module), function)
 
 
 def run_task(config: Config, out: Path) -> RunResult:

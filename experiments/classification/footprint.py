@@ -23,8 +23,7 @@ def measured_footprint(network: Path) -> dict[str, float]:
     """Returns `footprint` of a fresh process."""
     command = [sys.executable, "-m", __name__, str(network)]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
-    found: dict[str, float] = json.loads(done.stdout)
-    return found
+    return json.loads(done.stdout)
 
 
 def footprint(network: Path) -> dict[str, float]:

@@ -1,7 +1,5 @@
 """The command `touchdown config`."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from typing import Any

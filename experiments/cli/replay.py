@@ -1,7 +1,5 @@
 """The command ``touchdown replay``."""
 
-from __future__ import annotations
-
 from importlib.resources import files
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """The command group `touchdown vehicles`."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping
 from pathlib import Path

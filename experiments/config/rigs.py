@@ -3,8 +3,6 @@
 A rig stands over profile, preset and vehicle, and below all other sources of a key.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from pathlib import Path

@@ -50,8 +50,7 @@ def selector(part: Examined) -> Checked:
 
     def sites(when: str, rule: str = "answers", **changes: Any) -> RankedSites:
         seen = dataclasses.replace(whole, **changes)
-        found: RankedSites = part.ask("select", seen, when=when, rule=rule)
-        return found
+        return part.ask("select", seen, when=when, rule=rule)
 
     found = sites("of a map")
     candidates = selection_of(found, whole, part.rig.landing).candidates

@@ -218,8 +218,7 @@ class ExternalEstimator(_Slot):
 
     def update(self, obs: Observation) -> Estimate:
         """The estimate, checked."""
-        checked: Estimate = own(self.part.ask("update", obs))
-        return checked
+        return own(self.part.ask("update", obs))
 
     @property
     def spare_sensors(self) -> tuple[str, ...]:
@@ -234,8 +233,7 @@ class ExternalSelector(_Slot):
 
     def offer(self, seen: SelectorInput) -> RankedSites:
         """The sites that it offers, checked."""
-        offered: RankedSites = self.part.ask("select", seen)
-        return offered
+        return self.part.ask("select", seen)
 
     def select(self, seen: SelectorInput) -> Selection:
         """The selection that these sites make."""
@@ -249,8 +247,7 @@ class ExternalController(_Slot):
 
     def update(self, estimate: Estimate, setpoint: Setpoint) -> Command:
         """The command, checked."""
-        checked: Command = own(self.part.ask("update", estimate, setpoint))
-        return checked
+        return own(self.part.ask("update", estimate, setpoint))
 
 
 class ExternalClassifier(_Slot):
@@ -301,13 +298,11 @@ class ExternalLander(_Slot):
 
     def update(self, obs: Observation, estimate: Estimate, map_view: MapView) -> Setpoint:
         """The setpoint, checked."""
-        checked: Setpoint = own(self.part.ask("update", obs, estimate, map_view))
-        return checked
+        return own(self.part.ask("update", obs, estimate, map_view))
 
     def view(self) -> LanderView:
         """The state of the mission, checked."""
-        view: LanderView = self.part.ask("view")
-        return view
+        return self.part.ask("view")
 
 
 class ExternalWatch(_Slot):
@@ -317,8 +312,7 @@ class ExternalWatch(_Slot):
 
     def look(self, seen: WatchInput) -> WatchReport:
         """The report, checked."""
-        report: WatchReport = own(self.part.ask("look", seen))
-        return report
+        return own(self.part.ask("look", seen))
 
 
 PARTS: Mapping[str, type[_Slot]] = {

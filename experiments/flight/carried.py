@@ -1,7 +1,5 @@
 """Flights along the trajectory of a file: the lander that only watches, and the path."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -210,9 +210,7 @@ def corner_displacement_px(camera: CameraIntrinsics) -> Array:
     square = x * x + y * y
     if camera.lens == "fisheye":
         radial = np.hypot(camera.fx * x, camera.fy * y)
-        found: Array = np.array([(radial * square**power).max() for power in (1, 2, 3, 4)])
-        return found
+        return np.array([(radial * square**power).max() for power in (1, 2, 3, 4)])
     moved_x = np.stack([x * square, x * square**2, 2.0 * x * y, square + 2.0 * x * x])
     moved_y = np.stack([y * square, y * square**2, square + 2.0 * y * y, 2.0 * x * y])
-    maximum: Array = np.hypot(camera.fx * moved_x, camera.fy * moved_y).max(axis=1)
-    return maximum
+    return np.hypot(camera.fx * moved_x, camera.fy * moved_y).max(axis=1)

@@ -6,8 +6,6 @@ watched. A scan counts when it has arrived. Whether something hides him from the
 asked.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from touchdown.experiments.io.result_parts import WATCH_RULE, Intrusion

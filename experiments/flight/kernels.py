@@ -59,8 +59,7 @@ def read_types(text: str) -> tuple[Any, ...]:
         "tuple_of": lambda *inner: types.BaseTuple.from_types(inner),
         "record": lambda place: lambda *inner: types.BaseTuple.from_types(inner, _named(place)),
     }
-    kinds: tuple[Any, ...] = eval(f"({text},)", known)
-    return kinds
+    return eval(f"({text},)", known)
 
 
 def _named(place: str) -> Any:

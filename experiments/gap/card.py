@@ -1,7 +1,5 @@
 """A row of the card: what is compared, its distance, its bound, and whether it holds."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable
 from dataclasses import dataclass

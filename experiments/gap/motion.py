@@ -1,7 +1,5 @@
 """Inertial sensors: in flight, at rest, and the motion of the vehicle."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

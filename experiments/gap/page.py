@@ -1,7 +1,5 @@
 """The card as a table and a figure."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any

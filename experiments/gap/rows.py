@@ -1,7 +1,5 @@
 """The rows of the card, in their order."""
 
-from __future__ import annotations
-
 from functools import partial
 
 from touchdown.experiments.gap import motion, world

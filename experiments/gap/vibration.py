@@ -40,8 +40,7 @@ def _within(frequencies: Array, found: Array, low: float, high: float) -> Array:
     inside = (frequencies >= low) & ((frequencies < high) | (frequencies == 0.5 * RECORDED_HZ))
     inside &= frequencies <= high
     step = frequencies[1] - frequencies[0]
-    rms: Array = np.sqrt(found[inside].sum(axis=0) * step)
-    return rms
+    return np.sqrt(found[inside].sum(axis=0) * step)
 
 
 def read_recordings(folder: Path) -> dict[str, Array]:

@@ -1,7 +1,5 @@
 """What sensors see: images, LIDAR patterns and intensities, terrain, and the wind."""
 
-from __future__ import annotations
-
 import json
 import zipfile
 from pathlib import Path

@@ -5,8 +5,6 @@ QGroundControl has laid out, and how it ends, by a landing or a return. Commands
 a camera or a servo are left out.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import math

@@ -141,8 +141,7 @@ class RunResult(Part):
 
     def plain(self) -> dict[str, Any]:
         """The content of ``result.json``: JSON types only."""
-        plain: dict[str, Any] = plain_json(self.model_dump(exclude_unset=True))
-        return plain
+        return plain_json(self.model_dump(exclude_unset=True))
 
     def to_json(self) -> str:
         """The text of ``result.json``."""

@@ -295,8 +295,7 @@ def _text(message: bytes) -> str:
 
 
 def _png(message: bytes) -> NDArray[np.uint8]:
-    png: NDArray[np.uint8] = ros.deserialized(message, "sensor_msgs/msg/CompressedImage").data
-    return png
+    return ros.deserialized(message, "sensor_msgs/msg/CompressedImage").data
 
 
 def unpack_image(png: NDArray[np.uint8]) -> NDArray[np.uint8]:

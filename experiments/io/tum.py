@@ -67,8 +67,7 @@ class Trajectory:
     @cached_property
     def rotations(self) -> Array:
         """(N, 3, 3)"""
-        matrices: Array = self.attitudes.as_matrix()
-        return matrices
+        return self.attitudes.as_matrix()
 
     @property
     def poses(self) -> list[Pose]:

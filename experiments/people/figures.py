@@ -1,7 +1,5 @@
 """How surely people are found: recall and false boxes by kind, distance and light."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass

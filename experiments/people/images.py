@@ -1,7 +1,5 @@
 """Images of people, dogs and cyclists from the vehicle's camera, with the boxes that they fill."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -239,8 +237,7 @@ def _eye(living: Array, rng: np.random.Generator) -> Array:
     if rng.random() < _EMPTY:
         away += float(rng.uniform(5.0, 15.0))
     turn = float(rng.uniform(0.0, 2.0 * np.pi))
-    eye: Array = target + [away * math.cos(turn), away * math.sin(turn), height]
-    return eye
+    return target + [away * math.cos(turn), away * math.sin(turn), height]
 
 
 def _above_ground(scene: Scene, data: Any, eye: Array) -> float:

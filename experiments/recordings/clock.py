@@ -1,8 +1,6 @@
 """The clock of a replay: ticks from stamps, the samples of an IMU on an even grid, rest at the
 start, true poses at ticks."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -121,8 +119,7 @@ def _means(places: Array, values: Array, grid: Array) -> Array:
     low, high = (np.clip(grid + half, places[0], places[-1]) for half in (-0.5, 0.5))
     # between two samples the integral is a parabola: the value at the end and the piece's start
     parts = [_integral(places, values, whole, at) for at in (low, high)]
-    means: Array = (parts[1] - parts[0]) / (high - low)[:, None]
-    return means
+    return (parts[1] - parts[0]) / (high - low)[:, None]
 
 
 def _integral(places: Array, values: Array, whole: Array, at: Array) -> Array:
@@ -130,8 +127,7 @@ def _integral(places: Array, values: Array, whole: Array, at: Array) -> Array:
     width = (places[k + 1] - places[k])[:, None]
     away = (at - places[k])[:, None]
     slope = (values[k + 1] - values[k]) / width
-    integral: Array = whole[k] + away * (values[k] + 0.5 * slope * away)
-    return integral
+    return whole[k] + away * (values[k] + 0.5 * slope * away)
 
 
 def rest_steps(grid: ImuGrid) -> int:

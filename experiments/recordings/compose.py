@@ -1,7 +1,5 @@
 """A recording as the observations of a flight: on one clock, with one rig, in order of arrival."""
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 import math

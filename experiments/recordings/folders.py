@@ -1,7 +1,5 @@
 """Folders of data sets: EuRoC's ASL layout and KITTI odometry's."""
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Callable, Iterator
 from itertools import zip_longest

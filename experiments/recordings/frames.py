@@ -1,7 +1,5 @@
 """Frames of a recording in the order of their times, and what the first of them show."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 
 import numpy as np
@@ -123,5 +121,4 @@ def first_velocity(frames: list[RawFrame], parts: RigParts) -> Array | None:
         return None
     mount = parts.body_from_lidar
     body = mount @ moved @ mount.inverse()
-    velocity: Array = body.translation / apart_s
-    return velocity
+    return body.translation / apart_s

@@ -1,7 +1,5 @@
 """Where a vehicle would have landed: the map of a recording, and the site that is chosen on it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Messages of the small sensors of a recording."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -1,7 +1,5 @@
 """A stereo pair in place of a LIDAR that a recording lacks: its disparities as a scan."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 

@@ -1,8 +1,6 @@
 """Images of a recording: decoded within limits, and undistorted or rectified where an estimator's
 camera model does not reach."""
 
-from __future__ import annotations
-
 import dataclasses
 import io
 import zlib

@@ -1,8 +1,6 @@
 """Scans of LIDAR drivers: the times of Velodyne, Ouster, Hesai and Livox in ``PointCloud2``, and
 Livox's own messages."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

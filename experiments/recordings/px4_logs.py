@@ -1,8 +1,6 @@
 """Logs of PX4 (``.ulg``): IMU, GPS, barometer and magnetometer, and the truth of a simulation or
 what PX4's own estimator found. Read by `pyulog`, extra ``ulog``."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any

@@ -1,8 +1,6 @@
 """Files that describe a rig: Kalibr's ``camchain-imucam.yaml``, our TOML, and ``rig.json`` of our
 exports. Each comes from a stranger."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Mapping

@@ -127,5 +127,4 @@ def crossing_difference(a: LogisticFit, b: LogisticFit, level: float) -> Estimat
 
 
 def _expit(x: Array) -> Array:
-    found: Array = 1.0 / (1.0 + np.exp(-np.clip(x, -500.0, 500.0)))
-    return found
+    return 1.0 / (1.0 + np.exp(-np.clip(x, -500.0, 500.0)))

@@ -180,8 +180,7 @@ class SceneViews:
         dy, dx = np.gradient(heights, self.truth.cell_m)
         normal = np.stack([-_RELIEF_GAIN * dx, -_RELIEF_GAIN * dy, np.ones_like(dx)], axis=-1)
         light = (normal @ _SUN) / np.linalg.norm(normal, axis=-1)
-        shade: Array = 0.35 + 0.65 * np.clip(light, 0.0, 1.0) / _SUN[2]
-        return shade
+        return 0.35 + 0.65 * np.clip(light, 0.0, 1.0) / _SUN[2]
 
 
 VIEWS: Mapping[str, Callable[[SceneViews], Image]] = {

@@ -1,7 +1,5 @@
 """Ground of the touchdown bench: a slope, or level ground with a step or rocks under the legs."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cache
 from typing import Any

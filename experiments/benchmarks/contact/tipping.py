@@ -5,8 +5,6 @@ Each contact draws friction, horizontal speed and wind evenly from their ranges,
 else. Intervals are Wilson's, over contacts, which are independent.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any

@@ -166,12 +166,10 @@ class _Dropped:
         self._world, self._position, self._lifted = world, position, False
 
     def reset(self) -> Observation:
-        observation: Observation = self._world.reset()
-        return observation
+        return self._world.reset()
 
     def truth(self) -> Truth:
-        truth: Truth = self._world.truth()
-        return truth
+        return self._world.truth()
 
     def follow(self, phase: str, site_world: Array | None) -> None:
         self._world.follow(phase, site_world)

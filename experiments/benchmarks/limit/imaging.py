@@ -122,8 +122,7 @@ def _below(flight: Flight, position: Array, rotation: Array) -> Array:
     start = position + rotation @ np.array(flight.config.rangefinder.position_body_m)
     surface, down = flight.surface, -rotation[:, 2]
     distance = surface.strike(surface.seen, start[None], down[None]).distance
-    below: Array = start + np.minimum(distance, _FARTHEST_M) * down
-    return below
+    return start + np.minimum(distance, _FARTHEST_M) * down
 
 
 def _new(flight: Flight, eye: Pose, local: Array) -> tuple[Array, Array, Array]:
@@ -192,5 +191,4 @@ def _lens_columns(lens: CameraIntrinsics, local: Array) -> Array:
     down = np.stack(
         [zero, one / lens.fy, zero, y, y * square, y * square**2, square + 2 * y * y, 2 * x * y], -1
     )
-    both: Array = np.stack([lens.fx * right, lens.fy * down], axis=1)
-    return both
+    return np.stack([lens.fx * right, lens.fy * down], axis=1)

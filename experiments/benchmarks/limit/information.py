@@ -282,8 +282,7 @@ def bound(information: Array, wanted: Sequence[int] | Indices) -> Array:
     factor = scipy.linalg.cho_factor(information * scale * scale[:, None], lower=True)
     units = np.zeros((len(information), len(wanted)))
     units[wanted, np.arange(len(wanted))] = scale[wanted]
-    covariance: Array = (scipy.linalg.cho_solve(factor, units) * scale[:, None])[wanted]
-    return covariance
+    return (scipy.linalg.cho_solve(factor, units) * scale[:, None])[wanted]
 
 
 def skews(vectors: Array) -> Array:

@@ -175,8 +175,7 @@ class Flight:
 
     def state_of(self, times_s: Array) -> Indices:
         """(N,) the nearest state."""
-        nearest: Indices = np.rint(times_s / self.period_s).astype(np.int64)
-        return nearest
+        return np.rint(times_s / self.period_s).astype(np.int64)
 
 
 def rates_at(path: Trajectory, times_s: Array) -> Array:
@@ -185,8 +184,7 @@ def rates_at(path: Trajectory, times_s: Array) -> Array:
     turns = (path.attitudes[1:] * path.attitudes[:-1].inv()).as_rotvec() / steps
     both = np.hstack([np.diff(path.positions, axis=0) / steps, turns])
     k = np.searchsorted(path.times_s, times_s, side="right") - 1
-    rates: Array = both[np.clip(k, 0, len(both) - 1)]
-    return rates
+    return both[np.clip(k, 0, len(both) - 1)]
 
 
 class Pulses(NamedTuple):
@@ -250,8 +248,7 @@ def _drawn(pulses: Pulses) -> Bools:
     points = pulses.origin[:, :2] + pulses.range_m[:, None] * pulses.direction[:, :2]
     block = np.floor(points / (5.0 * CELL_M)).astype(np.int64)
     mixed = (block[:, 0] * 73856093) ^ (block[:, 1] * 19349663)
-    chosen: Bools = (mixed * 2654435761 >> 8) % 2**20 < CELL_FRACTION * 2**20
-    return chosen
+    return (mixed * 2654435761 >> 8) % 2**20 < CELL_FRACTION * 2**20
 
 
 def places(flight: Flight, pulses: Pulses) -> Places:
@@ -270,8 +267,7 @@ def voxel_names(points: Array, normals: Array) -> Indices:
     axis = np.abs(normals).argmax(axis=1)
     faces = 2 * axis + (np.take_along_axis(normals, axis[:, None], 1)[:, 0] > 0.0)
     x, y, z = (np.floor(points / VOXEL_M).astype(np.int64) + 2**17).T
-    names: Indices = ((x * 2**18 + y) * 2**18 + z) * 8 + faces
-    return names
+    return ((x * 2**18 + y) * 2**18 + z) * 8 + faces
 
 
 class Patches(NamedTuple):
@@ -379,8 +375,7 @@ def _variance(flight: Flight, found: Places, patches: Patches) -> Array:
     off = (-found.cosine * (pulses.range_m - found.struck.distance))[:, None]
     left = off - mean_of(patches.own, patches.counts, off)[patches.own]
     scatter = np.bincount(patches.own, left[:, 0] ** 2) / np.maximum(patches.counts - 1, 1)
-    variance: Array = np.maximum(sheet, scatter[patches.own])
-    return variance
+    return np.maximum(sheet, scatter[patches.own])
 
 
 def _rows(

@@ -1,7 +1,5 @@
 """Choices of selectors on kept maps against the dials that the maps were made with."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple

@@ -5,8 +5,6 @@ back. The loss is that of CenterNet: a focal loss on the marks of middles, and t
 at each middle.
 """
 
-from __future__ import annotations
-
 import copy
 import math
 from collections.abc import Callable, Sequence
