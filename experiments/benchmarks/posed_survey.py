@@ -1,10 +1,8 @@
 """A survey with sensors at planned poses: no physics, no control, no estimate."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -17,9 +15,7 @@ from touchdown.landing.api import Selection, SelectorInput, SelectorRig
 from touchdown.scenes.api import Scene
 from touchdown.sim.api import Observation, SensorRig
 from touchdown.sim.frames import Pose
-
-if TYPE_CHECKING:
-    from touchdown.sim.posed_sensors import PosedSensors
+from touchdown.sim.posed_sensors import PosedSensors, track_along
 
 
 @dataclass(slots=True)
@@ -42,7 +38,6 @@ def build_posed_survey(config: Config, scene: Scene) -> PosedSurvey:
     from touchdown.landing.mission.waypoints import survey_path
     from touchdown.landing.selection.selector import select_sites
     from touchdown.sim.frames import yaw_from_rotation
-    from touchdown.sim.posed_sensors import PosedSensors
 
     world = make_world(config, scene)
     rig = world.rig
@@ -116,8 +111,6 @@ def observe(
 ) -> Iterator[tuple[Estimate, MapView]]:
     """Moves the sensors along ``path`` from ``start_s`` on and yields after every scan, without
     ``images`` by the LIDAR alone. The camera is free again at the end."""
-    from touchdown.sim.posed_sensors import track_along
-
     rig, sensors = survey.rig, survey.sensors
     period = max(round(period_s * rig.tick_hz), rig.lidar_scan_ticks)
     first = round(start_s * rig.tick_hz)

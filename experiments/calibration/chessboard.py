@@ -3,8 +3,6 @@
 Camera calibration from planes: Zhang, "A flexible new technique for camera calibration", PAMI 2000.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -53,7 +51,7 @@ class CameraPlanes:
     covariance: Array
     """(4 V, 4 V) of normal and distance, view by view"""
 
-    def of_views(self, views: Sequence[int]) -> CameraPlanes:
+    def of_views(self, views: Sequence[int]) -> "CameraPlanes":
         """Returns the planes of the given views."""
         chosen = (4 * np.array(views, np.int64)[:, None] + np.arange(4)).ravel()
         return CameraPlanes(

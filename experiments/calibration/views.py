@@ -1,10 +1,7 @@
 """Rendered and scanned views of a chessboard, the input of a calibration."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 from zlib import crc32
 
 import numpy as np
@@ -15,10 +12,8 @@ from touchdown.experiments.scene_tools.posed_views import posed_sensors
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.frames import Pose, so3_exp
 from touchdown.sim.geometry.lens import project
+from touchdown.sim.posed_sensors import PosedSensors
 from touchdown.sim.typing import Array, Image
-
-if TYPE_CHECKING:
-    from touchdown.sim.posed_sensors import PosedSensors
 
 SECONDS_PER_VIEW = 1.0
 """LIDAR time per view, in which the pattern fills up"""

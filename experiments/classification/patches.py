@@ -6,12 +6,10 @@ images the colours of materials, such as red asphalt, pale paving, dark roofs: a
 trained on few scenes relies on their palette, and learns texture and shape instead (domain
 randomisation: Tobin et al., IROS 2017)."""
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 from zlib import crc32
 
 import cv2
@@ -27,10 +25,8 @@ from touchdown.experiments.scene_tools.posed_views import (
 )
 from touchdown.scenes.api import LAND_CLASSES, OTHER_CLASS_ID, Scene
 from touchdown.scenes.authoring.ground import varied_materials
+from touchdown.sim.posed_sensors import PosedView
 from touchdown.sim.typing import Array, Image, Int32
-
-if TYPE_CHECKING:
-    from touchdown.sim.posed_sensors import PosedView
 
 Counts = NDArray[np.int64]
 

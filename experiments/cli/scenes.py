@@ -1,11 +1,9 @@
 """The command group `touchdown scenes`."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
@@ -26,9 +24,7 @@ from touchdown.experiments.cli.common import (
 from touchdown.experiments.cli.console import print_place, print_scene_check
 from touchdown.experiments.errors import usage_errors
 from touchdown.experiments.terminal import make_notes, say
-
-if TYPE_CHECKING:
-    from touchdown.scenes.api import Light
+from touchdown.scenes.api import Light, short_name
 
 VIEW_NAMES = ("above", "oblique", "camera", "depth", "lidar", "height", "slope", "class", "safe")
 """Keys of `experiments.scene_tools.views.VIEWS`, repeated so that help is instant."""
@@ -91,7 +87,6 @@ def scenes_render(
     if every_scene == (scene is not None):
         raise click.UsageError("give either SCENE or --all")
     from touchdown.experiments.scene_tools import render as scene_tools
-    from touchdown.scenes.api import short_name
 
     if every_scene:
         folder = out or Path(f"scenes-{seed}")
@@ -170,7 +165,6 @@ def scenes_export(scene: str, out: Path | None, seed: int, as_json: bool) -> int
     python -m mujoco.viewer --mjcf=crossroad/scene.xml
     """
     from touchdown.experiments.scene_tools.render import export_scene_files
-    from touchdown.scenes.api import short_name
 
     target = out or Path(f"{short_name(scene)}-{seed}")
     model_file = export_scene_files(scene, seed, target)

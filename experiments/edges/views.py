@@ -4,11 +4,9 @@ A boundary separates different things in a person's eyes: the classes painted in
 objects by their geom, crowns and bushes as one kind, and jumps of depth.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from zlib import crc32
 
 import cv2
@@ -26,10 +24,8 @@ from touchdown.experiments.scene_tools.posed_views import (
 )
 from touchdown.scenes.api import LAND_CLASSES, Scene
 from touchdown.sim.frames import Pose
+from touchdown.sim.posed_sensors import PosedView
 from touchdown.sim.typing import Array, Int32, Mask
-
-if TYPE_CHECKING:
-    from touchdown.sim.posed_sensors import PosedView
 
 Notes = Callable[[str], None]
 

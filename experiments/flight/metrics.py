@@ -3,8 +3,6 @@
 Running statistics: memory does not grow with the duration of a flight.
 """
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from collections.abc import Callable
@@ -286,7 +284,7 @@ class GroundMap:
     height_m: NDArray[np.float32]
 
     @classmethod
-    def of(cls, grid: GridMap) -> GroundMap:
+    def of(cls, grid: GridMap) -> "GroundMap":
         """Returns the ground of ``grid``, in arrays of its own."""
         return cls(grid.origin_xy_m, grid.cell_m, grid.count.copy(), grid.ground().height_m)
 

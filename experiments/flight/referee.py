@@ -1,7 +1,5 @@
 """The referee: judges a flight on the true ground and ends it with an outcome."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -79,7 +77,7 @@ class Referee:
         *,
         survey_only: bool,
         steps_per_s: float,
-        ground: TruthLookup,
+        ground: "TruthLookup",
         on_survey_end: Callable[[], None] = lambda: None,
         by_class: bool = False,
         commanded_xy_m: tuple[float, float] | None = None,

@@ -1,7 +1,5 @@
 """The result of a run: the typed content of ``result.json``, its columns, and reading it back."""
 
-from __future__ import annotations
-
 import json
 import os
 import types
@@ -125,7 +123,7 @@ class RunResult(Part):
 
     def found_at(
         self, path: Path | None, settings: Mapping[str, Any] = types.MappingProxyType({})
-    ) -> RunResult:
+    ) -> "RunResult":
         """This result, of the run directory ``path``."""
         self._path, self._settings = path, dict(settings)
         return self

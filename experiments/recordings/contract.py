@@ -1,8 +1,6 @@
 """What a format gives of a recording: raw messages with the stamps of their own clocks, and what
 the data say of the rig themselves."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
@@ -149,7 +147,7 @@ class RigParts:
     whole: SensorRig | None = None
     """a rig as our exports write it, which says all"""
 
-    def with_more(self, other: RigParts) -> RigParts:
+    def with_more(self, other: "RigParts") -> "RigParts":
         """These parts, and those of ``other`` where it says something."""
         blank = RigParts()
         said = {

@@ -1,6 +1,8 @@
 """Registration of scans, for what an estimator cannot know at the start of a recording, and for a
 truth where there is no better one."""
 
+from __future__ import annotations
+
 from collections.abc import Iterable
 
 import numpy as np

@@ -1,8 +1,6 @@
 """A recording through an estimator: opened by its format, replayed as a log of a flight is, and
 judged against its truth."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Container, Mapping
 from pathlib import Path
@@ -112,7 +110,7 @@ def replay_recording(
     return replay(run, config, out_dir, progress)
 
 
-def open_run(data: Path, options: ReplayOptions) -> RecordedRun:
+def open_run(data: Path, options: ReplayOptions) -> "RecordedRun":
     """A recording as `replay` takes it. Raises UsageError."""
     given = read_rig(options.rig) if options.rig is not None else RigParts()
     recording = open_recording(data, given)

@@ -1,9 +1,6 @@
 """The configured sensors at given poses over a scene: random views, and a view from a hover."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,10 +9,8 @@ from touchdown.experiments.config.schema import Config
 from touchdown.experiments.flight.wiring import world_params
 from touchdown.scenes.api import Array, Scene
 from touchdown.sim.frames import Pose, rotation_from_yaw, so3_exp
+from touchdown.sim.posed_sensors import PosedSensors, PosedView
 from touchdown.sim.typing import Int32
-
-if TYPE_CHECKING:
-    from touchdown.sim.posed_sensors import PosedSensors, PosedView
 
 LOW_M, HIGH_M = 8.0, 40.0
 """Default range of heights of random views over the take-off spot"""
@@ -30,8 +25,6 @@ _LONGEST_TIME_S = 60.0
 
 def posed_sensors(config: Config, scene: Scene) -> PosedSensors:
     """The configured camera and LIDAR, at any pose over a scene."""
-    from touchdown.sim.posed_sensors import PosedSensors
-
     return PosedSensors(scene, world_params(config), config.world_seed)
 
 

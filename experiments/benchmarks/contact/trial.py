@@ -5,8 +5,6 @@ those of a flight. The estimate is the truth, but for a drift of its position an
 vehicle is to move over the ground: that is how it comes to do so in flight. Nothing is perceived.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -116,7 +114,7 @@ def _contact_s(params: LandingParams, height_m: float, top_m: float) -> float:
 
 
 def _judged(
-    trial: Trial, config: Config, stack: FlightStack, world: _Dropped, site: Array, drift: Array
+    trial: Trial, config: Config, stack: FlightStack, world: "_Dropped", site: Array, drift: Array
 ) -> Touch:
     vehicle = stack.nominal_rig.vehicle
     last = _Last(vehicle.leg_height_m)

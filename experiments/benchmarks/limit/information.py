@@ -10,8 +10,6 @@ Order of the unknowns: `STATE` of each state, one state after the other, then th
 flight that an estimator does not know.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 from types import MappingProxyType
@@ -111,7 +109,7 @@ class Rows(NamedTuple):
     copies: Array
     """(N,) how many landmarks of its kind the row's landmark stands for"""
 
-    def with_common_error(self, sigma: float) -> Rows:
+    def with_common_error(self, sigma: float) -> "Rows":
         """The same with an error of this size that all measurements of a landmark from one state
         share, and that the next state does not."""
         pair = self.state * (self.landmark.max() + 1) + self.landmark
@@ -120,11 +118,11 @@ class Rows(NamedTuple):
         return self._replace(weight=self.weight / (1.0 + sigma**2 * together))
 
     @staticmethod
-    def joined(parts: Sequence[Rows]) -> Rows:
+    def joined(parts: Sequence["Rows"]) -> "Rows":
         """All rows of ``parts``, which are not empty."""
         return Rows._make(np.concatenate(column) for column in zip(*parts, strict=True))
 
-    def chosen(self, which: NDArray[np.bool_]) -> Rows:
+    def chosen(self, which: NDArray[np.bool_]) -> "Rows":
         """Those of ``which`` (N,)."""
         return Rows._make(column[which] for column in self)
 
@@ -197,15 +195,9 @@ def motion_information(motions: Sequence[Motion], constants: int) -> Array:
     return total
 
 
-def landmark_information(rows: Rows, states: int, constants: int) -> Array:
-    """Information (15 K + C, 15 K + C) of ``rows`` on ``states`` K states and ``constants`` C
-    constants, whatever the landmarks are."""
-    return next(landmark_informations(rows, [states], constants))
-
-
 def landmark_informations(rows: Rows, counts: Sequence[int], constants: int) -> Iterator[Array]:
-    """As `landmark_information`, of the rows of the first of the states, for each of the ascending
-    ``counts`` of states."""
+    """Information (15 K + C, 15 K + C) of ``rows`` on the first K states and ``constants`` C
+    constants, whatever the landmarks are, for each K of the ascending ``counts``."""
     names, own = np.unique(rows.landmark, return_inverse=True)
     width = 6 * counts[-1] + constants
     total = np.zeros((width, width))

@@ -11,8 +11,6 @@ value with unknown slopes. What is not linear within the cell counts as noise, a
 beam's own error of direction.
 """
 
-from __future__ import annotations
-
 import copy
 import dataclasses
 import warnings
@@ -198,7 +196,7 @@ class Pulses(NamedTuple):
     range_m: Array
     level: Array
 
-    def chosen(self, which: Bools) -> Pulses:
+    def chosen(self, which: Bools) -> "Pulses":
         """Those of ``which`` (N,)."""
         return Pulses._make(column[which] for column in self)
 
@@ -285,7 +283,7 @@ class Patches(NamedTuple):
     """(V,) its number, -1 for none"""
 
     @staticmethod
-    def of(found: Places, features: Array, facing: Array) -> Patches:
+    def of(found: Places, features: Array, facing: Array) -> "Patches":
         """The voxels of the returns, some of them with one of the ``features`` (F, 3), which face
         (F, 3) ``facing``."""
         points, normals = found.points, found.struck.normal

@@ -23,7 +23,7 @@ from touchdown.experiments.benchmarks.limit.information import (
     bound,
     constant_sigmas,
     imu_motion,
-    landmark_information,
+    landmark_informations,
     motion_information,
 )
 from touchdown.experiments.config.loading import load_config
@@ -62,12 +62,12 @@ def _chain(steps, accel=0.02, hertz=50):
 
 
 def test_n_measurements_of_a_known_height_leave_sigma_over_root_n():
-    total = landmark_information(_heights(0, 7), 1, CONSTANTS) + np.diag(
+    total = next(landmark_informations(_heights(0, 7), [1], CONSTANTS)) + np.diag(
         [1e-3] * STATE + [1.0] * CONSTANTS
     )
     total[2, 2] += 1e12  # the state's height is known: nothing is left to learn of it
     both = Rows.joined([_heights(0, 7), _heights(1, 7)])
-    two = landmark_information(both, 2, CONSTANTS) + 1e-3 * np.eye(2 * STATE + CONSTANTS)
+    two = next(landmark_informations(both, [2], CONSTANTS)) + 1e-3 * np.eye(2 * STATE + CONSTANTS)
     two[2, 2] += 1e12
     height = bound(two, [STATE + 2])[0, 0]
     # the landmark by the first state, then the second by the landmark
@@ -87,14 +87,14 @@ def test_a_landmark_seen_again_ends_the_drift_and_a_sensor_never_hurts():
     seconds = 20
     alone = _chain(seconds)
     seen = Rows.joined([_heights(0, 3), _heights(seconds, 3)])
-    more = alone + landmark_information(seen, seconds + 1, CONSTANTS)
+    more = alone + next(landmark_informations(seen, [seconds + 1], CONSTANTS))
     at = STATE * seconds + np.arange(3)
     before, after = bound(alone, at), bound(more, at)
     assert before[2, 2] > 1.0
     assert after[2, 2] == pytest.approx(2.0 * SIGMA**2 / REPEATS, rel=2e-3)
     assert after[0, 0] == pytest.approx(before[0, 0], rel=1e-6)
     assert np.linalg.eigvalsh(before - after).min() > -1e-6
-    added = landmark_information(seen, seconds + 1, CONSTANTS)
+    added = next(landmark_informations(seen, [seconds + 1], CONSTANTS))
     assert np.linalg.eigvalsh(added).min() > -1e-6 * added.max()
 
 
