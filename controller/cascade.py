@@ -12,8 +12,6 @@ integral of the velocity loop cannot hold as much. Upward forces are left to the
 ground they are those of ground effect and of the legs' contact.
 """
 
-from __future__ import annotations
-
 import contextlib
 
 import numpy as np

@@ -5,8 +5,6 @@ thrust, then the yaw torque. A lost rotor is left out; where the others cannot b
 torque, or not without a rotor at its limit, yaw is given up.
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection
 
 import numpy as np

@@ -8,8 +8,6 @@ k / ratio costs atan(1 / ratio) of phase there. ``controller.design`` checks the
 gains against the full linear model, motor lag and sampling included.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -5,8 +5,6 @@ Every array is float64 unless stated. Time is an integer count of ticks of ``Sim
 read-only.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, fields
 from typing import Annotated, Protocol
 
@@ -241,7 +239,7 @@ class SensorNeeds:
     magnetometer: bool = False
     rangefinder: bool = False
 
-    def __or__(self, other: SensorNeeds) -> SensorNeeds:
+    def __or__(self, other: "SensorNeeds") -> "SensorNeeds":
         names = (field.name for field in fields(self))
         return SensorNeeds(
             **{name: max(getattr(self, name), getattr(other, name)) for name in names}

@@ -4,8 +4,6 @@ Worker threads `note` the effects on the message that they make; those of a mess
 delivered, so that the numbers of a flight do not depend on its threads.
 """
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -37,7 +35,7 @@ class Effect:
     amount: float = 0.0
     """size of the change, in units of the effect"""
 
-    def add(self, other: Effect) -> None:
+    def add(self, other: "Effect") -> None:
         self.came += other.came
         self.messages += other.messages
         self.fraction += other.fraction
@@ -117,10 +115,10 @@ class Returns(NamedTuple):
     ranges: Float32
     intensity: Bytes
 
-    def copy(self) -> Returns:
+    def copy(self) -> "Returns":
         return Returns(self.ranges.copy(), self.intensity.copy())
 
-    def changed_fraction(self, before: Returns) -> float:
+    def changed_fraction(self, before: "Returns") -> float:
         """Fraction of returns of another intensity, or of a range that differs by more than
         ``CHANGED_M``."""
         moved = np.abs(self.ranges - before.ranges) > CHANGED_M

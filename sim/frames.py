@@ -6,8 +6,6 @@ are Hamilton, unit, in the order w, x, y, z. Names read right to left: ``world_f
 coordinates to world coordinates.
 """
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from dataclasses import dataclass
@@ -32,16 +30,16 @@ class Pose:
     translation: Array
 
     @staticmethod
-    def identity() -> Pose:
+    def identity() -> "Pose":
         return Pose(np.eye(3), np.zeros(3))
 
-    def __matmul__(self, other: Pose) -> Pose:
+    def __matmul__(self, other: "Pose") -> "Pose":
         """Composition: ``a_from_c = a_from_b @ b_from_c``."""
         return Pose(
             self.rotation @ other.rotation, self.rotation @ other.translation + self.translation
         )
 
-    def inverse(self) -> Pose:
+    def inverse(self) -> "Pose":
         transposed = self.rotation.T
         return Pose(transposed, -transposed @ self.translation)
 

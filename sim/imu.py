@@ -1,7 +1,5 @@
 """An integrating IMU: mean angular rate and specific force a sample, with its errors."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from zlib import crc32

@@ -1,8 +1,6 @@
 """Poses of bodies over time; moving bodies are mocap bodies on polylines, pure functions of time
 but for intruders, which are sent once."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -41,7 +39,7 @@ class BodyTrack:
     """(M, 4) world_from_body"""
 
     @staticmethod
-    def at_rest(world_from_body: Pose, times_s: Array) -> BodyTrack:
+    def at_rest(world_from_body: Pose, times_s: Array) -> "BodyTrack":
         """A body that keeps one pose at all of (M,) ``times_s``."""
         quat_wxyz = quat_wxyz_from_matrix(world_from_body.rotation)
         return BodyTrack(

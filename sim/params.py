@@ -5,8 +5,6 @@ The ranges are metadata of annotated-types. The dataclasses do not check them; p
 `experiments.config.loading` reads a configuration.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
@@ -57,7 +55,7 @@ class CameraParams:
 
     __pydantic_config__ = FORBID_EXTRA
 
-    mount_deg: Turn = (0.0, 0.0, 0.0)
+    mount_deg: "Turn" = (0.0, 0.0, 0.0)
     """roll, pitch and yaw by which the cameras are turned from their mount on the vehicle; pitch
     -20 turns their view ahead"""
     width: Count = 848

@@ -8,8 +8,6 @@ the same mean over this model, at the rotor speeds of that vehicle, and compares
 vibration itself is in continuous time and may be sampled at any rate.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 from zlib import crc32
@@ -237,5 +235,4 @@ def _resonance(rate: float, damping: float, fraction: float, period_s: float) ->
 def _root(covariance: Array) -> Array:
     """A matrix R with R R^T = ``covariance``, which may be singular."""
     values, vectors = np.linalg.eigh(0.5 * (covariance + covariance.T))
-    root: Array = vectors * np.sqrt(np.maximum(values, 0.0))
-    return root
+    return vectors * np.sqrt(np.maximum(values, 0.0))

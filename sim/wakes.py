@@ -18,8 +18,6 @@ in front of obstacles, above and beside them. The added turbulence is a third of
 the obstacle's height as its length (assumed; wind tunnels find intensities of 0.2 to 0.4 there).
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 from zlib import crc32

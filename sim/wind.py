@@ -23,8 +23,6 @@ vehicle, whose rolling share has a noise of its own, and whose others follow w a
     H_r(s) = (s / V) / (1 + 3 b / (pi V) s) H_v(s)
 """
 
-from __future__ import annotations
-
 from zlib import crc32
 
 import numpy as np

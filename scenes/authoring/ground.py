@@ -1,7 +1,5 @@
 """Ground texture: a canvas of materials, markings and stains, shaded texel by texel."""
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
@@ -63,7 +61,7 @@ class Ground(IntEnum):
 
     look: _Look
 
-    def __new__(cls, number: int, look: _Look | None = None) -> Ground:
+    def __new__(cls, number: int, look: _Look | None = None) -> "Ground":
         member = int.__new__(cls, number)
         member._value_ = number
         if look is not None:
@@ -211,7 +209,7 @@ class Canvas:
     stain: api.Bytes = field(default_factory=lambda: np.zeros((TEXELS, TEXELS), np.uint8))
 
     @staticmethod
-    def of_size(half_m: float, texels: int) -> Canvas:
+    def of_size(half_m: float, texels: int) -> "Canvas":
         """Returns a canvas of (texels, texels) rather than `TEXELS`, a multiple of
         `RASTER_STRIDE`."""
         blank = np.zeros((3, texels, texels), np.uint8)

@@ -1,7 +1,5 @@
 """Small textured meshes made by code."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -26,7 +24,7 @@ class MeshData:
     normals: Array | None = None
 
     @staticmethod
-    def join(parts: list[MeshData]) -> MeshData:
+    def join(parts: list["MeshData"]) -> "MeshData":
         """One mesh out of several."""
         offsets = np.cumsum([0] + [len(part.vertices) for part in parts[:-1]])
         return MeshData(
@@ -37,7 +35,7 @@ class MeshData:
             uv=np.concatenate([part.uv for part in parts]),
         )
 
-    def moved(self, offset: Array) -> MeshData:
+    def moved(self, offset: Array) -> "MeshData":
         return MeshData(vertices=self.vertices + offset, faces=self.faces, uv=self.uv)
 
 

@@ -5,8 +5,6 @@ slopes. A canvas holds heights of a few centimetres; `MicroRelief.shading` turns
 the light of a slope over that of level ground. Feet, skis, runners and wheels leave tracks in it.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import cv2

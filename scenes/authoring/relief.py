@@ -1,7 +1,5 @@
 """Shape of the ground: natural relief, pads, ditches and mounds."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
@@ -109,7 +107,7 @@ def level_pads(heights: Array, xy: Array, pads: Iterable[Pad]) -> Array:
     return heights
 
 
-def level_takeoff(heights: Array, takeoff_xy_m: Array, half_m: float = HALF_M) -> HeightField:
+def level_takeoff(heights: Array, takeoff_xy_m: Array, half_m: float = HALF_M) -> "HeightField":
     """The terrain of ``heights`` (N, N) with a level disc of 2 m around the take-off spot, moved
     up or down so that the height there is 0."""
     terrain = HeightField(heights_m=heights, half_m=half_m)

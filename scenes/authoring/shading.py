@@ -1,8 +1,6 @@
 """The texels of a ground's texture: materials with their patterns, noise, stains and marking paint,
 in their light."""
 
-from __future__ import annotations
-
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray

@@ -6,8 +6,6 @@ and, where a facet happens to be tilted towards the sun, a glint. The light is t
 straight above: it does not move with the camera.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import cv2

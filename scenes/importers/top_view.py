@@ -5,8 +5,6 @@ Sizes are those of the standard survey and of its fit to a place (`SurveyParams`
 `experiments.flight.survey_fit`, which are layers above; a test compares them).
 """
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple
 
 import mujoco
@@ -65,7 +63,7 @@ class Place(NamedTuple):
     """[[x_min, y_min], [x_max, y_max]]"""
 
     @staticmethod
-    def of(spec: Any, bounds_xy_m: Array) -> Place:
+    def of(spec: Any, bounds_xy_m: Array) -> "Place":
         """Compiles a copy of ``spec``."""
         with quiet_libraries():
             model = spec.copy().compile()

@@ -1,7 +1,5 @@
 """Paths of people, animals and vehicles over the ground of a compiled scene."""
 
-from __future__ import annotations
-
 import csv
 import math
 from collections.abc import Callable
@@ -104,7 +102,7 @@ class Traffic:
             found += self._path(one, ground)
         return replace(scene, moving=(*scene.moving, *found))
 
-    def _path(self, one: Planned, ground: _Ground) -> list[api.MovingBody]:
+    def _path(self, one: Planned, ground: "_Ground") -> list[api.MovingBody]:
         rng, alive = self._rng, one.kind != "car"
         if one.own is not None:
             path = ground.lifted(one.own[:, 1:])

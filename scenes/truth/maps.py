@@ -10,8 +10,6 @@ point (`scenes.api.TruthMaps.safe_geometry`) means:
 - nothing from 1.0 to 1.5 m stands more than 0.25 m over the same plane.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -93,16 +91,6 @@ def truth_maps(scene: Scene, cell_m: float = 0.1, region: Array | None = None) -
     )
 
 
-def point_slope_deg(scene: Scene, xy: Array, radius: float = SLOPE_RADIUS_M) -> float:
-    """Slope in degrees of the least-squares plane over a disc around ``xy`` (2,) world; NaN where
-    there is no ground below part of it."""
-    point = np.asarray(xy, np.float64)
-    cells = int(np.ceil(radius / PATCH_CELL_M))
-    heights, _ = _patch(scene, point, cells)
-    gradient = _gradient(heights, cells, cells, _disc(radius, PATCH_CELL_M), PATCH_CELL_M)
-    return float(np.rad2deg(np.arctan(np.hypot(*gradient))))
-
-
 def judge_touchdown(scene: Scene, xy: Array) -> TouchdownJudgement:
     """Judges one point, (2,) world, with rays 2 cm apart, so that thin objects count."""
     point = np.asarray(xy, np.float64)
@@ -178,8 +166,7 @@ def _dilate(mask: NDArray[np.bool_], radius_m: float, cell_m: float) -> NDArray[
     """Cells within ``radius_m`` of a set cell (exact Euclidean distance)."""
     if not mask.any():
         return mask
-    near: NDArray[np.bool_] = ndimage.distance_transform_edt(~mask) * cell_m <= radius_m + 1e-9
-    return near
+    return ndimage.distance_transform_edt(~mask) * cell_m <= radius_m + 1e-9
 
 
 def _disc_mask(radius_m: float, cell_m: float) -> NDArray[np.bool_]:

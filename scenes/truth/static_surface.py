@@ -4,8 +4,6 @@ Rays are cast with Embree at the triangles and shapes that the LIDAR sees too, w
 hangs on, without the vehicle and the moving bodies. Infinite planes are solved exactly.
 """
 
-from __future__ import annotations
-
 import weakref
 from dataclasses import dataclass
 from functools import cached_property
@@ -28,7 +26,7 @@ _BLOCK = 1 << 18
 _THIN_M = 0.1
 """Least height over what can be touched at which a geom that cannot be touched is no ground"""
 _KEPT = 2
-_recent: list[tuple[weakref.ref[api.Scene], StaticSurface]] = []
+_recent: list[tuple[weakref.ref[api.Scene], "StaticSurface"]] = []
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,21 +100,21 @@ class StaticSurface:
         return rotation @ aabb[:3] + self._data.geom_xpos[geom], rotation * aabb[3:]
 
     @cached_property
-    def _seen(self) -> _Caster:
+    def _seen(self) -> "_Caster":
         return self._caster(self.geoms[~self._unseen])
 
     @cached_property
-    def _solid(self) -> _Caster:
+    def _solid(self) -> "_Caster":
         return self._caster(self.geoms[~self._untouched])
 
     @cached_property
-    def _terrain(self) -> _Caster:
+    def _terrain(self) -> "_Caster":
         kinds = self._model.geom_type[self.geoms]
         fields = kinds == mujoco.mjtGeom.mjGEOM_HFIELD
         planes = kinds == mujoco.mjtGeom.mjGEOM_PLANE
         return self._caster(self.geoms[fields if fields.any() else planes])
 
-    def _caster(self, geoms: Indices) -> _Caster:
+    def _caster(self, geoms: Indices) -> "_Caster":
         return _Caster(self._model, self._data, geoms, self._origin)
 
 

@@ -13,8 +13,6 @@ The rotors' own angular momentum is left out: at 1e-4 kg m^2 each and opposite s
 the effect of one per cent of thrust.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -14,8 +14,6 @@
 Air and glare are added in linear light; grey levels are display levels, a power law of 2.2.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any
@@ -195,14 +193,12 @@ def dirt_map(params: CameraParams, fraction: float, size: float, key: list[int])
     noise = np.random.default_rng(key).standard_normal(shape, dtype=np.float32)
     smooth = cv2.GaussianBlur(noise, (0, 0), sigma)
     blobs = (smooth > np.quantile(smooth, 1.0 - fraction)).astype(np.float32)
-    soft: Float32 = np.asarray(cv2.GaussianBlur(blobs, (0, 0), sigma / 3.0), dtype=np.float32)
-    return soft
+    return np.asarray(cv2.GaussianBlur(blobs, (0, 0), sigma / 3.0), dtype=np.float32)
 
 
 def glare_table(light: float) -> Bytes:
     """(256,) grey level of every old one with this much linear light added."""
-    table: Bytes = np.rint(255.0 * np.minimum(LIGHT + light, 1.0) ** (1.0 / GAMMA)).astype(np.uint8)
-    return table
+    return np.rint(255.0 * np.minimum(LIGHT + light, 1.0) ** (1.0 / GAMMA)).astype(np.uint8)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

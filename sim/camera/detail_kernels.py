@@ -1,7 +1,5 @@
 """Photographs multiplied into a drawn raster: the kernels of `detail_texture`."""
 
-from __future__ import annotations
-
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray

@@ -1,7 +1,5 @@
 """Offscreen OpenGL: MuJoCo's renderer with a pinhole's frustum."""
 
-from __future__ import annotations
-
 import contextlib
 from dataclasses import dataclass, fields
 from typing import Any
@@ -36,7 +34,7 @@ class Snapshot:
     cam_xmat: Array
 
     @staticmethod
-    def of(data: mujoco.MjData) -> Snapshot:
+    def of(data: mujoco.MjData) -> "Snapshot":
         return Snapshot(*(getattr(data, field.name).copy() for field in fields(Snapshot)))
 
 

@@ -7,8 +7,6 @@ much, the levels from that of its nearest point on. A renderer in software takes
 choose a level pixel by pixel.
 """
 
-from __future__ import annotations
-
 import contextlib
 import tempfile
 from collections.abc import Iterator
@@ -48,7 +46,7 @@ class GroundPicture:
     camera whose pixels have the slope ``pixel``. Make parts in the thread of the GL context."""
 
     @staticmethod
-    def of(model: Any, geom: int, half_m: Array, pixel: float) -> GroundPicture | None:
+    def of(model: Any, geom: int, half_m: Array, pixel: float) -> "GroundPicture | None":
         """None where the texture is small, repeats, or covers other geoms as well."""
         material = int(model.geom_matid[geom])
         texture = int(model.mat_texid[material, _ROLE]) if material >= 0 else -1

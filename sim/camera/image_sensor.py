@@ -5,8 +5,6 @@ shows, the mean of their linear light, electrons with shot and read noise, grey 
 exposure is one instant in even and sufficient light, tables of the grey level do the rest.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any, NamedTuple

@@ -7,8 +7,6 @@ are a linear function of the pixel on every plane. Surfaces are matt, there is n
 camera are at one place, so that no shadow of the lamp is seen.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

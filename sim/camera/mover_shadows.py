@@ -4,8 +4,6 @@ Shadows of what stands still are baked into the ground's texture; these are cast
 pixel lies in shadow where the ray from what it shows towards the sun meets a capsule about a geom.
 """
 
-from __future__ import annotations
-
 import cv2
 import mujoco
 import numpy as np
@@ -31,7 +29,7 @@ class MoverShadows:
     """Darkens rasters of ``pinhole`` where walkers of a scene keep the sun away."""
 
     @staticmethod
-    def of(scene: Scene, pinhole: CameraIntrinsics) -> MoverShadows | None:
+    def of(scene: Scene, pinhole: CameraIntrinsics) -> "MoverShadows | None":
         """None where nobody walks, and without a sun."""
         model = scene.model
         walkers: dict[str, list[int]] = {}

@@ -1,7 +1,5 @@
 """Lens, exposure and noise: from a drawn raster to the image of a camera."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from dataclasses import dataclass
@@ -158,8 +156,7 @@ def exposure_table(params: CameraParams, image: Bytes) -> Bytes | None:
         factor *= min(max(_MIDDLE_GREY / (level * factor), 1.0 / limit), limit)
     if factor == 1.0:
         return None
-    table: Bytes = np.clip(np.rint(factor * np.arange(256)), 0, 255).astype(np.uint8)
-    return table
+    return np.clip(np.rint(factor * np.arange(256)), 0, 255).astype(np.uint8)
 
 
 def noise_tile(params: CameraParams, key: list[int]) -> NDArray[np.int8]:

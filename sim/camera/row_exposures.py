@@ -1,8 +1,6 @@
 """Images whose rows are exposed one after the other, for a time, in a given light, which an
 automatic exposure follows with a lag."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 
@@ -87,7 +85,7 @@ class RowExposures:
         image = self._image_sensor.exposed(drawn, depth, shifts, self._noise, place, light)
         return image, light.electrons * light.gain / light.full_well
 
-    def _note(self, exposure: Exposure, lux: float, *, lit: bool) -> None:
+    def _note(self, exposure: "Exposure", lux: float, *, lit: bool) -> None:
         if self.effects is None:
             return
         self.effects.note(("lamp",), float(lit))
@@ -97,7 +95,7 @@ class RowExposures:
         self.effects.note(("gain",), 1.0, exposure.gain)
         self.effects.note(("exposure_error_stops",), 1.0, abs(self._control.error_stops))
 
-    def _exposed(self, exposure: Exposure, lamp: LampField | None) -> image_sensor.Exposed:
+    def _exposed(self, exposure: "Exposure", lamp: LampField | None) -> image_sensor.Exposed:
         p = self._params
         per_lux = p.electrons_per_lux_s * exposure.time_s
         return image_sensor.Exposed(
@@ -115,7 +113,7 @@ class RowExposures:
         return row_shifts(motion, self._lens.raster, end_s + self._row_s[:, None] + within)
 
     def _instants(
-        self, motion: CameraMotion, end_s: float, exposure: Exposure, depth: InverseDepth
+        self, motion: CameraMotion, end_s: float, exposure: "Exposure", depth: InverseDepth
     ) -> int:
         rows = np.linspace(0, len(self._row_s) - 1, 5).astype(int)
         ends = np.array([-0.5, 0.5]) * exposure.time_s

@@ -8,8 +8,6 @@ show what the edge hides. A body that moves by itself is shown where it is at th
 readout: a row that is exposed dt later shows it too far back by its speed times dt f / depth.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any
@@ -81,8 +79,7 @@ def _rotation_vectors(rotations: Array) -> Array:
     axes = np.stack([skew[:, 2, 1], skew[:, 0, 2], skew[:, 1, 0]], axis=1)
     sines = np.linalg.norm(axes, axis=1, keepdims=True)
     safe = np.clip(sines, 1e-12, 1.0)
-    vectors: Array = axes * (np.arcsin(safe) / safe)
-    return vectors
+    return axes * (np.arcsin(safe) / safe)
 
 
 def row_shifts(motion: CameraMotion, raster: CameraIntrinsics, offsets_s: Array) -> Array:
@@ -103,8 +100,7 @@ def longest_shift(coefficients: Array, raster: CameraIntrinsics, inverse_depth: 
     for c in (coefficients[:, 0], coefficients[:, -1]):
         moved = c[:, :9].reshape(-1, 3, 3) @ spots + inverse_depth * c[:, 9:, None]
         ends.append(moved[:, :2] / moved[:, 2:])
-    apart: Array = np.linalg.norm(ends[1] - ends[0], axis=1).max(axis=1)
-    return apart
+    return np.linalg.norm(ends[1] - ends[0], axis=1).max(axis=1)
 
 
 def identity_shifts(rows: int) -> Array:

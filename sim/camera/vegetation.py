@@ -4,8 +4,6 @@ The LIDAR's pulses end in grass and crops some way above the ground; the camera 
 the mean height of their returns, so that depths of both agree. Physics and truth keep the ground.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 
@@ -43,7 +41,7 @@ class Vegetation:
     """mujoco.MjModel of nothing but height fields, the one ``field`` with plants"""
 
     @staticmethod
-    def of(scene: Scene, plants: SurfaceDetail | None) -> Vegetation | None:
+    def of(scene: Scene, plants: SurfaceDetail | None) -> "Vegetation | None":
         """None where no plants are seen, or the ground is no level height field along x and y."""
         model = scene.model
         if plants is None or (geom := plants.optics.ground_geom) < 0:

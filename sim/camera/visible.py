@@ -4,8 +4,6 @@ MuJoCo draws every geom, the whole of a height field and the sky box behind it, 
 sees. A rasterizer in software spends most of its time on that.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -43,7 +41,7 @@ class Frustum:
     slopes: tuple[float, float, float, float]
 
     @staticmethod
-    def of(k: CameraIntrinsics, eye: Array, axes: Array, first: int, last: int) -> Frustum:
+    def of(k: CameraIntrinsics, eye: Array, axes: Array, first: int, last: int) -> "Frustum":
         """Of rows ``first`` to ``last`` (exclusive)."""
         side = 0.5 * k.width / k.fx
         bottom, top = (0.5 * k.height - last) / k.fy, (0.5 * k.height - first) / k.fy
@@ -108,7 +106,7 @@ class Terrain:
     lowest_m: float
 
     @staticmethod
-    def all_of(model: mujoco.MjModel) -> dict[int, Terrain]:
+    def all_of(model: mujoco.MjModel) -> dict[int, "Terrain"]:
         """Those of a model by the ids of their fields."""
         geoms = np.flatnonzero(model.geom_type == _FIELD)
         shown = model.geom_dataid[geoms].tolist()

@@ -4,8 +4,6 @@ An acceleration structure holds triangles that wrap these shapes; what it finds 
 double precision. A ray that starts inside a shape meets it where it leaves, as in MuJoCo.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 
@@ -43,7 +41,7 @@ class ShapeTable(NamedTuple):
     """(G, 3) semi-axes; radius and half length"""
 
     @staticmethod
-    def empty(geom_count: int) -> ShapeTable:
+    def empty(geom_count: int) -> "ShapeTable":
         return ShapeTable(
             np.zeros(geom_count, dtype=np.int8),
             np.zeros((geom_count, 3, 3)),

@@ -1,7 +1,5 @@
 """Geoms under one Embree acceleration structure, and what rays meet of them."""
 
-from __future__ import annotations
-
 import importlib
 import os
 import sys
@@ -34,13 +32,13 @@ class Hits(NamedTuple):
     negative when the ray meets the surface from inside"""
 
     @staticmethod
-    def of(count: int) -> Hits:
+    def of(count: int) -> "Hits":
         """Memory for so many."""
         distance, cosine = np.empty((2, count), dtype=np.float32)
         return Hits(distance, np.empty(count, dtype=np.int32), cosine)
 
     @staticmethod
-    def none(count: int) -> Hits:
+    def none(count: int) -> "Hits":
         """So many misses."""
         hits = Hits.of(count)
         hits.clear()
@@ -57,7 +55,7 @@ class Hits(NamedTuple):
         for values in self:
             values[start : start + len(rows)] = values[rows]
 
-    def part(self, start: int, end: int) -> Hits:
+    def part(self, start: int, end: int) -> "Hits":
         """Those of the rays from ``start`` to ``end``, in the same memory."""
         rows = slice(start, end)
         return Hits(self.distance[rows], self.geom[rows], self.cosine[rows])
@@ -72,7 +70,7 @@ class TargetParts(NamedTuple):
     shapes: ShapeTable
 
     @staticmethod
-    def none(model: mujoco.MjModel) -> TargetParts:
+    def none(model: mujoco.MjModel) -> "TargetParts":
         return TargetParts([], [], [], ShapeTable.empty(model.ngeom))
 
     def add(

@@ -1,7 +1,5 @@
 """Pulses whose beams an edge may divide, in compiled single-threaded loops."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -5,8 +5,6 @@ into scans. Random bits come from the SplitMix64 generator (Steele, Lea, Flood, 
 pseudorandom number generators", OOPSLA 2014), normal deviates from them by inversion.
 """
 
-from __future__ import annotations
-
 import math
 from statistics import NormalDist
 

@@ -7,8 +7,6 @@ bump-mapped surfaces", The Visual Computer 4, 1988): how steep a ray has to be t
 cell. All other rays are left to the general ray caster.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 
@@ -45,7 +43,7 @@ class GroundGrid:
     has met nothing before. Rays come from greater x and y, smaller x, smaller y, both smaller."""
 
     @staticmethod
-    def of(geom: int, origin: Array, cell: Array, heights: Array, clutter: Array) -> GroundGrid:
+    def of(geom: int, origin: Array, cell: Array, heights: Array, clutter: Array) -> "GroundGrid":
         """``clutter`` (T, 3, 3): corners of all other fixed triangles in the world. The grid made
         has cells of half the side, since what stands on one leaves all of it to others."""
         nodes, cell = _halved(heights.astype(np.float32)), np.asarray(cell, np.float64) / 2

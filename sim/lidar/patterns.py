@@ -20,8 +20,6 @@ OS1-16 and PandarXT-16 turn a column of beams about their axis. Beams of a colum
 one after another at equal intervals; the OS1's fire at once, the XT's within 30 microseconds.
 """
 
-from __future__ import annotations
-
 import copy
 import math
 from collections.abc import Callable, Mapping
@@ -82,7 +80,7 @@ class RisleyPattern:
         _trace(start_index, beams, self._rows, self._index, self._rate, self._entry, self._turns)
         return beams
 
-    def erring(self, error_rad: float, azimuth_rad: float) -> RisleyPattern:
+    def erring(self, error_rad: float, azimuth_rad: float) -> "RisleyPattern":
         """The pattern of a sensor whose first prism is tilted or badly ground: it deflects by
         ``error_rad`` more, towards ``azimuth_rad`` from its wedge, and this direction turns with
         it. The error is a thin wedge before the prism, which deflects by (n - 1) times its angle.

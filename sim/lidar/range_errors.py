@@ -13,8 +13,6 @@ of either sign. Incidence: a beam that meets a surface at a slant is smeared out
 near edge crosses the threshold first, so that ranges come out short.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any
@@ -61,7 +59,7 @@ class RangeErrors:
     min_range_m: float
 
     @staticmethod
-    def of(params: LidarParams, pattern: ScanPattern, seed: int) -> RangeErrors | None:
+    def of(params: LidarParams, pattern: ScanPattern, seed: int) -> "RangeErrors | None":
         """The errors drawn from ``seed``; None where ``params`` ask for none."""
         if params.range_bias_m <= 0.0 and params.range_noise_growth <= 0.0:
             return None

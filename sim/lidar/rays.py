@@ -1,7 +1,5 @@
 """Rays of a LIDAR's pulses, and the tracks of the bodies that send and meet them."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np
@@ -21,14 +19,14 @@ class Track(NamedTuple):
     rotations: Array
 
     @staticmethod
-    def of(body: BodyTrack) -> Track:
+    def of(body: BodyTrack) -> "Track":
         return Track(
             np.ascontiguousarray(body.times_s, dtype=np.float64),
             np.ascontiguousarray(body.positions, dtype=np.float64),
             rotations_of(np.ascontiguousarray(body.quats_wxyz, dtype=np.float64)),
         )
 
-    def mounted(self, mount: Pose) -> Track:
+    def mounted(self, mount: Pose) -> "Track":
         """The track of something at the pose ``mount`` on the body."""
         return Track(
             self.times_s,
@@ -46,12 +44,12 @@ class Rays(NamedTuple):
     bits: Uint32
 
     @staticmethod
-    def of(count: int) -> Rays:
+    def of(count: int) -> "Rays":
         """Memory for so many rays."""
         noise, bits = np.empty(count, np.float32), np.empty(count, np.uint32)
         return Rays(np.empty((count, 6), np.float32), np.empty(count), noise, bits)
 
-    def part(self, start: int, end: int) -> Rays:
+    def part(self, start: int, end: int) -> "Rays":
         """The rays from ``start`` to ``end``, in the same memory."""
         rows = slice(start, end)
         return Rays(self.rays[rows], self.times[rows], self.range_noise[rows], self.bits[rows])

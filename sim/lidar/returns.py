@@ -13,8 +13,6 @@ Mixed pixels: where a beam is split by an edge, its parts come back as echoes. S
 one another than the pulse is long merge into one echo at their energy-weighted mean range.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 
@@ -60,7 +58,7 @@ class LinkBudget(NamedTuple):
     @staticmethod
     def of(
         limits_m: tuple[float, ...], reflectivities: tuple[float, ...], max_m: float
-    ) -> LinkBudget:
+    ) -> "LinkBudget":
         """Raises ValueError unless both are ascending and at least two."""
         limits, levels = np.array(limits_m), np.array(reflectivities)
         if len(limits) < 2 or len(limits) != len(levels) or (np.diff([limits, levels]) <= 0).any():
@@ -76,8 +74,7 @@ class LinkBudget(NamedTuple):
         """Strength that is just detected at each of the ranges."""
         limits, levels, powers = self.anchors.T
         at = np.clip(np.searchsorted(limits, ranges_m) - 1, 0, len(limits) - 2)
-        needed: Array = levels[at] * (ranges_m / limits[at]) ** (1.0 / powers[at])
-        return needed
+        return levels[at] * (ranges_m / limits[at]) ** (1.0 / powers[at])
 
 
 @njit(cache=True, forceinline=True, error_model="numpy")

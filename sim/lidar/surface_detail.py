@@ -15,8 +15,6 @@ between them a smoothstep interpolates; the sum is scaled to unit variance at ev
 have neither branches nor calls, so that the compiler makes vector instructions of them.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import cached_property
@@ -97,7 +95,7 @@ class SurfaceDetail:
     @staticmethod
     def of(
         params: LidarParams, scanner: ScanPattern, scene: Scene, optics: OpticalTable, moving: Mask
-    ) -> SurfaceDetail | None:
+    ) -> "SurfaceDetail | None":
         """None where ``params`` ask for neither. The detail is a function of the scene's seed."""
         if params.texture <= 0.0 and params.vegetation <= 0.0:
             return None
@@ -110,7 +108,7 @@ class SurfaceDetail:
         )
 
     @staticmethod
-    def plants_of(params: LidarParams, scene: Scene) -> SurfaceDetail | None:
+    def plants_of(params: LidarParams, scene: Scene) -> "SurfaceDetail | None":
         """The plants that the LIDAR meets, for the other sensors; None without vegetation."""
         if params.vegetation <= 0.0:
             return None

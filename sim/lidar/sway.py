@@ -13,8 +13,6 @@ box. Outlines stay where they are, with the rays that meet or miss them, and the
 wind is left out.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import cached_property
@@ -61,7 +59,7 @@ class Sway:
     """(G, 3) of their half sides"""
 
     @staticmethod
-    def of(params: LidarParams, scene: LidarScene, wind_mps: Array, seed: int) -> Sway | None:
+    def of(params: LidarParams, scene: LidarScene, wind_mps: Array, seed: int) -> "Sway | None":
         """None where ``params``, the scene or the air give nothing that sways. ``wind_mps``: (2,)
         mean wind at 20 ft."""
         speed = float(np.hypot(*wind_mps))
@@ -140,12 +138,10 @@ def _move(
 def sway_frequency_hz(height_m: Array) -> Array:
     """Fundamental frequency of trees of these heights."""
     diameter_cm = 100.0 * height_m / SLENDERNESS
-    frequency: Array = 0.0948 + 3.4317 * diameter_cm / height_m**2
-    return frequency
+    return 0.0948 + 3.4317 * diameter_cm / height_m**2
 
 
 def sway_sigma_m(frequency_hz: Array, wind_mps: float) -> Array:
     """Standard deviation of a crown's displacement along the wind."""
     pull_mps2 = 0.5 * AIR_DENSITY_KGPM3 * DRAG_AREA_M2PKG * wind_mps**2
-    sigma: Array = 2.0 * TURBULENCE * pull_mps2 / (2.0 * np.pi * frequency_hz) ** 2
-    return sigma
+    return 2.0 * TURBULENCE * pull_mps2 / (2.0 * np.pi * frequency_hz) ** 2

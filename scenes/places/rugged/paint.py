@@ -1,7 +1,5 @@
 """Picture of rugged ground: materials, the light on rocks and lumps, and their shadows."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 from numba import njit

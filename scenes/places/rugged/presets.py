@@ -14,8 +14,6 @@ mean plane, under a Hann window:
 Hillsides, step heights, depths, roughness and colours are assumed.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -109,7 +107,7 @@ class Dials:
     safe_fraction: float
 
     @staticmethod
-    def of(params: RuggedParams) -> Dials:
+    def of(params: RuggedParams) -> "Dials":
         preset = PRESETS[params.preset]
         names = ("slope_deg", "rock_abundance", "groove_fraction", "safe_fraction")
         given = {name: getattr(params, name) for name in names}

@@ -1,7 +1,5 @@
 """Shape of rugged ground: a hillside with waves, steps, gullies, ridges, grooves and snow."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 from numba import njit

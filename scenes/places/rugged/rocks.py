@@ -5,8 +5,6 @@ q = 1.79 + 0.152 / k (Golombek and Rapp, JGR 102, 1997; Golombek et al., JGR 108
 high as half their diameter are half-buried balls.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np
@@ -43,7 +41,7 @@ class Rocks(NamedTuple):
     turn: Array
     """(N,) radians, of facets and tilt"""
 
-    def only(self, chosen: NDArray[np.bool_] | NDArray[np.int64]) -> Rocks:
+    def only(self, chosen: NDArray[np.bool_] | NDArray[np.int64]) -> "Rocks":
         """Those chosen by a mask or by indices."""
         return self._replace(**{name: getattr(self, name)[chosen] for name in self._fields})
 
