@@ -10,8 +10,6 @@ So is water, which returns few of the pulses: nothing grows there, and its lowes
 below.
 """
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple
 
 import cv2

@@ -5,8 +5,6 @@ clone: it moves with the clone's estimate, and a scan matched to it measures the
 relative to that clone, not to the world.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -9,8 +9,6 @@ the filter's state and the image. Landmarks of `livo` keep the instants of their
 (``Shutter``, ``rows_of_keyframe``).
 """
 
-from __future__ import annotations
-
 import dataclasses
 
 import cv2
@@ -114,7 +112,7 @@ class CameraTwist:
     late_s: float
 
     @staticmethod
-    def of_imu(rate: Array, velocity: Array, imu_from_camera: Pose, late_s: float) -> CameraTwist:
+    def of_imu(rate: Array, velocity: Array, imu_from_camera: Pose, late_s: float) -> "CameraTwist":
         """The twist of a camera from angular rate and velocity (3,) of the IMU, in its frame."""
         rotation = imu_from_camera.rotation.T
         lever = imu_from_camera.translation

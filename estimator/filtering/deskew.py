@@ -1,7 +1,5 @@
 """Poses that the filter has passed, and screening, deskewing and thinning of LIDAR scans."""
 
-from __future__ import annotations
-
 import copy
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -57,7 +55,7 @@ class Trail:
         self.positions = (self.positions - self.positions[-1]) @ rotation.T + state.position
         self.rotations = rotation @ self.rotations
 
-    def reaching(self, state: NavState) -> Trail:
+    def reaching(self, state: NavState) -> "Trail":
         """Returns the trail with one pose more, without changing it."""
         longer = copy.copy(self)
         longer.extend(np.array([state.tick]), state.rotation[None], state.position[None])
@@ -104,7 +102,7 @@ class Track(NamedTuple):
     quats_wxyz: Array  # (M, 4)
 
     @classmethod
-    def of(cls, track: PoseTrack) -> Track:
+    def of(cls, track: PoseTrack) -> "Track":
         """The track of an estimator, as the kernel takes it."""
         parts = track.times_s, track.positions_odom, track.quats_wxyz
         return cls(*(np.ascontiguousarray(part, np.float64) for part in parts))
@@ -145,7 +143,7 @@ class PlacedScan:
     def __len__(self) -> int:
         return len(self.points)
 
-    def select(self, chosen: Indices) -> PlacedScan:
+    def select(self, chosen: Indices) -> "PlacedScan":
         """Returns the subset with the given indices."""
         return PlacedScan(self.points[chosen], self.beams[chosen], self.pulses[chosen])
 

@@ -11,8 +11,6 @@ calibration and a few clones, in this order; its normal equations are over these
 Kernels take their columns from here (a slice's ``start`` is a constant to them).
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np
@@ -74,7 +72,7 @@ class Frame(NamedTuple):
     translation: Array  # (3,) m
 
     @staticmethod
-    def of(pose: Pose) -> Frame:
+    def of(pose: Pose) -> "Frame":
         """The transform of a pose, in one layout: kernels compile once."""
         return Frame(np.ascontiguousarray(pose.rotation), pose.translation)
 
@@ -86,7 +84,7 @@ class Frames(NamedTuple):
     translations: Array  # (K, 3) m
 
     @staticmethod
-    def of(poses: list[Pose]) -> Frames:
+    def of(poses: list[Pose]) -> "Frames":
         """The transforms of poses."""
         rotations = np.array([pose.rotation for pose in poses]).reshape(-1, 3, 3)
         translations = np.array([pose.translation for pose in poses]).reshape(-1, 3)
@@ -117,6 +115,6 @@ class Pinhole(NamedTuple):
     cy: float
 
     @staticmethod
-    def of(camera: CameraIntrinsics) -> Pinhole:
+    def of(camera: CameraIntrinsics) -> "Pinhole":
         """The lens of a camera, its distortion left out."""
         return Pinhole(camera.fx, camera.fy, camera.cx, camera.cy)

@@ -9,8 +9,6 @@ for the error-state Kalman filter", section 5, with Hamilton and local angular e
 is that of ``error_state``.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field
 from typing import NamedTuple

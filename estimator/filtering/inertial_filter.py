@@ -10,8 +10,6 @@ In this order: samples come in (``take_imu``), the filter is propagated to a mea
 correction is brought to the present (``settle``) and reported (``estimate``).
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import fields, replace
 from typing import NamedTuple
@@ -303,8 +301,7 @@ class InertialFilter:
         """(6, 6) inverse covariance of the present pose, all else marginalised."""
         covariance = self.eskf.covariance[POSE, POSE] + 1e-12 * np.eye(POSE_DIM)
         inverse = np.linalg.inv(covariance)
-        symmetric: Array = 0.5 * (inverse + inverse.T)
-        return symmetric
+        return 0.5 * (inverse + inverse.T)
 
     # ------------------------------------------------------------------------ output
 

@@ -1,7 +1,5 @@
 """Keyframes, their feature planes, and the choice of keyframes to track."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field
 

@@ -4,8 +4,6 @@ In a pinhole image the inverse depth of a plane is linear in the pixel, so that 
 ``n . P = 1`` of a feature is a small linear fit to the returns projected around it.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -14,8 +14,6 @@ before the pose at its stamp, and is displaced by the offset times the twist (Li
 "Online temporal calibration for camera-IMU systems", IJRR 33, 2014).
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

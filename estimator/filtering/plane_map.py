@@ -7,8 +7,6 @@ first seen from (later returns are registered to the first ones) and its anchor
 (``estimator/filtering/anchors.py``).
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Reprojection residuals of landmarks as a measurement of two poses and the calibration."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -55,7 +53,7 @@ class LandmarkViews(NamedTuple):
     spreads: Array  # (N, 3) one standard deviation along their rays
 
     @staticmethod
-    def fixed(pixels: Array, landmarks: Array, spreads: Array) -> LandmarkViews:
+    def fixed(pixels: Array, landmarks: Array, spreads: Array) -> "LandmarkViews":
         """The views of an image without rolling shutter, the calibration taken for exact."""
         rows, jacobians = np.zeros(len(pixels)), np.zeros((len(pixels), 3, 0))
         return LandmarkViews(pixels, rows, landmarks, jacobians, spreads)

@@ -1,7 +1,5 @@
 """Vectors of three numbers for kernels: tuples, which stay in registers."""
 
-from __future__ import annotations
-
 from numba import njit
 
 from touchdown.sim.typing import Array

@@ -14,8 +14,6 @@ of a difference is measured from the scan's own residuals, and what the noise of
 its gradients is taken off the information.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -99,7 +97,7 @@ class IntensityImage:
     _smoothed: tuple[Float32, Float32] | None = None
 
     @staticmethod
-    def of(rotation: Array, height_m: float, calibration: Array) -> IntensityImage:
+    def of(rotation: Array, height_m: float, calibration: Array) -> "IntensityImage":
         """An empty image of a clone, with ``rotation`` odom_from_imu, ``height_m`` above the
         ground."""
         sums, counts = (np.zeros((SIDE, SIDE), dtype) for dtype in (np.float32, np.uint8))

@@ -5,8 +5,6 @@ what remains is a small translation, found by inverse-compositional Gauss-Newton
 values (Baker and Matthews 2004), coarse to fine.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import cv2

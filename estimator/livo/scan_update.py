@@ -5,8 +5,6 @@ LIDAR's mount. The error shared by all planes of a clone is thus the clone's err
 estimates and a revisit reduces, instead of new noise in every scan.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import NamedTuple
 

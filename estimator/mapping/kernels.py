@@ -1,8 +1,6 @@
 """Compiled kernels of the mapper: colour, accumulate. One thread and a fixed order of sums,
 so that the same scans give the same map to the bit."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numba

@@ -5,8 +5,6 @@ averaged per cell in the odom frame (the coloured point cloud map of Zou, Sun, K
 3.3, kept as a grid so that memory does not grow with the flight).
 """
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 import mmap
@@ -91,7 +89,7 @@ class _Grid:
         known = patch[np.isfinite(patch)]
         return float(known.mean()) if known.size else float("nan")
 
-    def moved_to(self, origin_xy_m: Array) -> _Grid:
+    def moved_to(self, origin_xy_m: Array) -> "_Grid":
         """Returns a grid with its corner at ``origin_xy_m`` (a whole number of cells away) that
         keeps the common cells."""
         cells = self.layers["count"].shape[0]

@@ -6,8 +6,6 @@ LIDAR's depth (Eq. 12) as prior: one number, so that the Schur complement over t
 no matrix inversion. Poses of keyframes are odom_from_imu.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import NamedTuple
 

@@ -7,8 +7,6 @@ every pixel its geodesically nearest seed, and where the regions of two seeds to
 the path between them.
 """
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 from numba import njit

@@ -1,7 +1,5 @@
 """The global maps of edge and planar points: voxel centroids with nearest-neighbour search."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -2,8 +2,6 @@
 of the feature maps.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -167,8 +165,7 @@ def view_of(beams_lidar: Array) -> Array:
     """(N, 2) directions of beams (N, 3): x / z and y / z of a LIDAR that looks along z, azimuth and
     elevation of one that looks all round."""
     if not sees_all_round(beams_lidar):
-        ahead: Array = beams_lidar[:, :2] / beams_lidar[:, 2:]
-        return ahead
+        return beams_lidar[:, :2] / beams_lidar[:, 2:]
     level = np.hypot(beams_lidar[:, 0], beams_lidar[:, 1])
     azimuth = np.arctan2(beams_lidar[:, 1], beams_lidar[:, 0])
     return np.column_stack([azimuth, np.arctan2(beams_lidar[:, 2], level)])

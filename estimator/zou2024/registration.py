@@ -2,8 +2,6 @@
 distances from lines and planes (Eq. 10).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -57,7 +55,7 @@ class Matches(NamedTuple):
     weights: Array  # (M,) 0 to 1, of the neighbourhood's shape
     scatter: Array  # (M,) m^2, of the neighbours about their plane
 
-    def select(self, keep: Mask) -> Matches:
+    def select(self, keep: Mask) -> "Matches":
         """The subset picked by a mask (M,)."""
         return Matches._make(part[keep] for part in self)
 
@@ -338,8 +336,7 @@ def line_weights(values: Array) -> Array:
     largest is three times the second, to 1 for a thin line. Of points scattered over a plane many
     five happen to lie so. They are always those around the point that is placed, wherever it is
     placed, and say nothing of where it belongs."""
-    weights: Array = 1.0 - EIGENVALUE_RATIO * values[:, 1] / values[:, 2]
-    return weights
+    return 1.0 - EIGENVALUE_RATIO * values[:, 1] / values[:, 2]
 
 
 @njit(cache=True, error_model="numpy")

@@ -5,8 +5,6 @@ The paper names SURF as well. OpenCV's wheels are built without it (its patented
 ``cv2.xfeatures2d.SURF_create`` raises), so that SIFT is the only real-valued descriptor.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
@@ -214,7 +212,7 @@ class Sightings:
     def __len__(self) -> int:
         return len(self.hosts)
 
-    def select(self, keep: NDArray[np.generic]) -> Sightings:
+    def select(self, keep: NDArray[np.generic]) -> "Sightings":
         """Returns the subset picked by a mask or an index array (N,)."""
         picked = np.asarray(keep)
         return Sightings(
