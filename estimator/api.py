@@ -23,7 +23,7 @@ from touchdown.estimator.parameters import MapperParams as MapperParams
 from touchdown.estimator.parameters import OpticalFlowParams as OpticalFlowParams
 from touchdown.estimator.parameters import StereoParams as StereoParams
 from touchdown.estimator.parameters import Zou2024Params as Zou2024Params
-from touchdown.sim.api import CameraImage, Observation, SensorNeeds, SensorRig
+from touchdown.sim.api import GRAVITY_MPS2, CameraImage, Observation, SensorNeeds, SensorRig
 from touchdown.sim.frames import Pose
 
 Array = NDArray[np.float64]
@@ -106,7 +106,7 @@ class DeckTrack:
     velocity_odom: Array
     """(3,) m/s of the site"""
     acceleration_odom: Array
-    """(3,) m/s^2: what heave brings back"""
+    """(3,) m/s^2: up, what heave brings back; across, what a tilted odom frame lends to all"""
     heave: Array
     """(2,) m and m/s about the mean level"""
     slopes: Array
@@ -119,8 +119,12 @@ class DeckTrack:
     """and of the horizontal velocity"""
 
     def ahead(self, ahead_s: float) -> tuple[float, float]:
-        """Speed of the heave, m/s, and tilt, rad, that are expected ``ahead_s`` from now."""
-        slopes = [swayed(one, ahead_s)[0] for one in self.slopes]
+        """Speed of the heave, m/s, and tilt against the horizon, rad, that are expected ``ahead_s``
+        from now."""
+        lean = self.acceleration_odom[:2] / GRAVITY_MPS2
+        slopes = [
+            swayed(one + [low, 0.0], ahead_s)[0] for one, low in zip(self.slopes, lean, strict=True)
+        ]
         return float(swayed(self.heave, ahead_s)[1]), math.atan(math.hypot(*slopes))
 
 

@@ -9,6 +9,9 @@ from touchdown.estimator.deck.surfaces import PlaneFit
 
 _ACCELERATION = 0.4
 """m/s^2, root Hz: of the site across the sea, by gusts on the estimate and by roll"""
+_LEAN_MPS2, _LEANING = 0.3, 0.02
+"""standard deviation of the acceleration that a tilted odom frame lends to all, and how fast it
+changes, m/s^3, root Hz"""
 _DRIFT = 0.03
 """the same of the mean level, which drifts with the estimate"""
 _HEAVE_MPS, _TILT_RADPS = 0.4, 0.07
@@ -19,7 +22,8 @@ _FIRST_MPS = 3.0
 """standard deviation of the speed of a deck that was just found"""
 _GATE = 5.0
 
-_COURSE = np.array([[0.0, 1.0], [0.0, 0.0]])
+_COURSE = np.eye(3, k=1)
+_PLACE = np.array([1.0, 0.0, 0.0])
 
 
 class Linear:
@@ -61,14 +65,14 @@ class DeckFilter:
     ) -> None:
         """``velocity`` (2,): across, as far as it is known."""
         self.time_s = self.seen_s = time_s
-        course = np.array([0.0, _ACCELERATION**2])
+        course = np.array([0.0, _ACCELERATION**2, _LEANING**2])
         self._xy = [
-            Linear(np.array([site_odom[axis], velocity[axis]]),
-                   np.array([0.3, _FIRST_MPS]), _COURSE, course)
+            Linear(np.array([site_odom[axis], velocity[axis], 0.0]),
+                   np.array([0.3, _FIRST_MPS, _LEAN_MPS2]), _COURSE, course)
             for axis in (0, 1)
         ]  # fmt: skip
         dynamics = np.zeros((4, 4))
-        dynamics[:2, :2], dynamics[2:, 2:] = _COURSE, SWAY
+        dynamics[:2, :2], dynamics[2:, 2:] = _COURSE[:2, :2], SWAY
         noise = np.array([0.0, _DRIFT**2, 0.0, _sway_noise(_HEAVE_MPS)])
         self._z = Linear(np.array([site_odom[2], 0.0, 0.0, 0.0]),
                          np.array([0.3, 0.3, 0.3, _HEAVE_MPS]), dynamics, noise)  # fmt: skip
@@ -123,21 +127,19 @@ class DeckFilter:
         """Takes the place of the site (2,)."""
         late = self._advance(time_s)
         for axis, one in enumerate(self._xy):
-            one.correct(float(xy[axis]) + late * one.state[1], np.array([1.0, 0.0]), sigma_m)
+            one.correct(float(xy[axis]) + late * one.state[1], _PLACE, sigma_m)
 
     def track(self, time_s: float) -> DeckTrack:
         """What is known, at ``time_s``."""
         ahead = max(time_s - self.time_s, 0.0)
         heave = swayed(self._z.state[2:], ahead)
         slopes = [swayed(axis.state, ahead) for axis in self._slopes]
-        xy = [axis.state[0] + ahead * axis.state[1] for axis in self._xy]
+        xy = [axis.state + ahead * _COURSE @ axis.state for axis in self._xy]
         level = self._z.state[0] + ahead * self._z.state[1]
         return DeckTrack(
-            site_odom=np.array([*xy, level + heave[0]]),
-            velocity_odom=np.array(
-                [*(axis.state[1] for axis in self._xy), self._z.state[1] + heave[1]]
-            ),
-            acceleration_odom=np.array([0.0, 0.0, float(SWAY[1] @ heave)]),
+            site_odom=np.array([xy[0][0], xy[1][0], level + heave[0]]),
+            velocity_odom=np.array([xy[0][1], xy[1][1], self._z.state[1] + heave[1]]),
+            acceleration_odom=np.array([xy[0][2], xy[1][2], float(SWAY[1] @ heave)]),
             heave=heave,
             slopes=np.array(slopes),
             seen_s=self.seen_s,

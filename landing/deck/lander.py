@@ -123,8 +123,9 @@ class _Chase:
         if view.estimate.deck is not None:
             self._known, self._known_s = view.estimate.deck, view.obs.time_s
             return self._known
-        way = (view.obs.time_s - self._known_s) * self._known.velocity_odom * [1.0, 1.0, 0.0]
-        return dataclasses.replace(self._known, site_odom=self._known.site_odom + way)
+        deck, since = self._known, view.obs.time_s - self._known_s
+        way = since * deck.velocity_odom + 0.5 * since**2 * deck.acceleration_odom
+        return dataclasses.replace(deck, site_odom=deck.site_odom + way * [1.0, 1.0, 0.0])
 
     def run(self) -> Generator[Setpoint, None, bool]:
         """Follows the deck until it is stood on; returns False where it is lost for good."""

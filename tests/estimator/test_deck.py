@@ -101,6 +101,22 @@ def test_the_filter_finds_course_heave_and_tilt() -> None:
     assert deck.seen_s == pytest.approx(time_s)
 
 
+def test_a_deck_is_kept_although_a_tilted_odom_frame_accelerates_all() -> None:
+    """By a degree and a half: 0.25 m/s^2."""
+    rng = np.random.default_rng(3)
+    deck, lean = DeckFilter(0.0, np.zeros(3), np.zeros(2), np.array([3.0, 0.0])), 0.25
+    for time_s in np.arange(0.1, 30.0, 0.1):
+        late = time_s - 0.05
+        place = np.array([3.0 * late - 0.5 * lean * late**2, 0.0]) + rng.normal(0.0, 0.02, 2)
+        deck.see_plane(time_s, PlaneFit(0.0, np.array([lean / 9.81, 0.0]), 0.01, np.zeros(3)))
+        deck.see_place(late, place, 0.03)
+    track = deck.track(time_s)
+    np.testing.assert_allclose(track.acceleration_odom[:2], [-lean, 0.0], atol=0.06)
+    np.testing.assert_allclose(track.velocity_odom[:2], [3.0 - lean * time_s, 0.0], atol=0.15)
+    assert track.site_odom[0] == pytest.approx(3.0 * time_s - 0.5 * lean * time_s**2, abs=0.05)
+    assert track.ahead(0.0)[1] < 0.006, "level"
+
+
 def test_a_corner_of_the_deck_tells_the_height_of_its_middle_by_its_tilt() -> None:
     rng = np.random.default_rng(0)
     deck = DeckFilter(0.0, np.zeros(3), np.zeros(2))
