@@ -107,8 +107,6 @@ class Candidate:
 
     position_odom: Array
     """(3,) centre, on the ground"""
-    normal_odom: Array
-    """(3,) unit normal of the plane through the footprint"""
     c_sum: float
     """Eq. 13 with the weights of ``landing.zou2024``, higher is better; 0 where unknown"""
     slope_deg: float

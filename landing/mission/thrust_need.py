@@ -10,8 +10,6 @@ and of their squares. In a steady wind of the speed that a vehicle just holds ag
 half of the thrust: tilt alone does not say what is left.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numba import njit
 

@@ -6,8 +6,6 @@ bounded and the derivative is continuous, so that the velocity ``p' s_dot`` and 
 that leaves the vehicle its margin the rate is 1 exactly, and the trajectory the one that was set.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numba import njit
 

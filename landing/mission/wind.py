@@ -1,7 +1,5 @@
 """Wind estimation from attitude, thrust and motion, without an anemometer."""
 
-from __future__ import annotations
-
 import numpy as np
 from numba import njit
 

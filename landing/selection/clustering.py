@@ -1,7 +1,5 @@
 """Quick Shift on the gridded costmap (Zou, Sun, Kong 2024, Eq. 19; Vedaldi and Soatto 2008)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import cv2

@@ -5,8 +5,6 @@ over the disc), which rewards the average slope and the point density; ``correct
 kernel on level ground and takes the mean per cell.
 """
 
-from __future__ import annotations
-
 import cv2
 import numba
 import numpy as np
@@ -24,12 +22,11 @@ from touchdown.sim.typing import Array, Float32, Mask
 def c_sum(smooth: Float32, flat: Float32, near: Float32, params: LandingParams) -> Float32:
     """Eq. 13 with the weights of ``landing.zou2024``; NaN where any term is NaN."""
     weights = params.zou2024
-    total: Float32 = (
+    return (
         weights.weight_smoothness * smooth
         + weights.weight_flatness * flat
         + weights.weight_distance * near
     )
-    return total
 
 
 def smoothness_of(raster: ElevationRaster, params: LandingParams) -> Float32:

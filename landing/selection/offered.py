@@ -84,7 +84,6 @@ def _candidate(
     figures += f"{plane.roughness_m:.2f} m" + (f", {site.reason}" if site.reason else "")
     return Candidate(
         position_odom=plane.position,
-        normal_odom=plane.normal,
         c_sum=0.0,
         slope_deg=plane.slope_deg,
         roughness_m=plane.roughness_m,

@@ -137,7 +137,6 @@ def unmapped(xy: Array, refusal: Refusal = _OUTSIDE) -> Candidate:
     """Returns the site at ``xy`` (2,), whose ground is unknown, refused."""
     return Candidate(
         position_odom=np.array([xy[0], xy[1], np.nan]),
-        normal_odom=np.array([0.0, 0.0, 1.0]),
         c_sum=0.0,
         slope_deg=float("nan"),
         roughness_m=float("nan"),
@@ -283,7 +282,6 @@ def _candidate(
     total = float(found.c_sum[spot])
     return Candidate(
         position_odom=plane.position,
-        normal_odom=plane.normal,
         c_sum=total if np.isfinite(total) else 0.0,
         slope_deg=plane.slope_deg,
         roughness_m=plane.roughness_m,

@@ -4,8 +4,6 @@ Cells lie along the axes of odom and stay where they are for seconds: what an es
 that time is less than a cell. Nothing is kept for longer.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import cv2

@@ -34,7 +34,7 @@ def chances(**given: float) -> Array:
 def site_at(x: float, y: float) -> Candidate:
     """A site on level ground that is accepted."""
     return Candidate(
-        position_odom=np.array([x, y, 0.0]), normal_odom=np.array([0.0, 0.0, 1.0]), c_sum=0.5,
+        position_odom=np.array([x, y, 0.0]), c_sum=0.5,
         slope_deg=0.0, roughness_m=0.0, clearance_m=3.0, accepted=True, reason="landable",
         rule="lower_value",
     )  # fmt: skip

@@ -4,8 +4,6 @@ A raster is an array (rows, cols) of cells, row = y, column = x, in the odom fra
 ``estimator.api.GridMap``.
 """
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -81,7 +81,6 @@ class Footprint:
 
     position: Array
     """(3,) centre on the plane"""
-    normal: Array
     slope_deg: float
     roughness_m: float
     """largest |residual| of a cell's mean height"""
@@ -228,7 +227,6 @@ def fit_footprint(raster: ElevationRaster, xy: Array, radius_m: float) -> Footpr
     normal /= np.linalg.norm(normal)
     return Footprint(
         position=np.array([xy[0], xy[1], solution[2]]),
-        normal=normal,
         slope_deg=float(np.rad2deg(np.arccos(min(normal[2], 1.0)))),
         roughness_m=float(np.abs(residual).max()),
     )

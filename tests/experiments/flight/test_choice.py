@@ -14,7 +14,7 @@ from touchdown.scenes.compose import load_scene
 
 def _candidate(rule: SiteRule, value: float, accepted: bool) -> Candidate:
     return Candidate(
-        position_odom=np.array([1.0, 2.0, 0.0]), normal_odom=np.array([0.0, 0.0, 1.0]), c_sum=0.6,
+        position_odom=np.array([1.0, 2.0, 0.0]), c_sum=0.6,
         slope_deg=0.4, roughness_m=0.02, clearance_m=2.5, accepted=accepted, reason="level",
         rule=rule, value=value, step_m=0.03, cluster_bonus=0.1, safe_probability=0.99,
         terms=(ScoreTerm(name="clearance", value=0.08, quantity=2.5, unit="m"),),

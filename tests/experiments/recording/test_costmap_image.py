@@ -45,7 +45,7 @@ def _costmap() -> CostmapView:
 
 def _candidate(x: float, y: float, *, accepted: bool = True) -> Candidate:
     return Candidate(
-        position_odom=np.array([x, y, 0.0]), normal_odom=np.array([0.0, 0.0, 1.0]), c_sum=0.5,
+        position_odom=np.array([x, y, 0.0]), c_sum=0.5,
         slope_deg=1.0, roughness_m=0.0, clearance_m=2.0, accepted=accepted, reason="",
         rule="lower_value" if accepted else "water", value=0.9, step_m=0.02,
         terms=(ScoreTerm(name="clearance", value=0.9, quantity=2.0, unit="m"),),

@@ -162,7 +162,7 @@ def test_terrain_mesh_spans_the_height_field(scene: Scene) -> None:
 
 def _candidate(accepted: bool) -> Candidate:
     return Candidate(
-        position_odom=np.array([-10.0, -10.0, 1.5]), normal_odom=np.array([0.0, 0.0, 1.0]),
+        position_odom=np.array([-10.0, -10.0, 1.5]),
         c_sum=0.8, slope_deg=1.0, roughness_m=0.02, clearance_m=3.0, accepted=accepted,
         reason="level and clear" if accepted else "water",
         rule="highest_value" if accepted else "water", value=0.9,

@@ -23,7 +23,7 @@ from support.landing_support import make_estimate, make_obs, make_rig, view_of
 
 ROOT = Path(__file__).parents[3]
 REFUSED = Candidate(
-    position_odom=np.zeros(3), normal_odom=np.array([0.0, 0.0, 1.0]), c_sum=0.0, slope_deg=9.0,
+    position_odom=np.zeros(3), c_sum=0.0, slope_deg=9.0,
     roughness_m=0.0, clearance_m=0.0, accepted=False, reason="refused: too steep", rule="steep",
 )  # fmt: skip
 DECISION = Decision(

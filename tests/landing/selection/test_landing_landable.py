@@ -72,8 +72,6 @@ def test_footprint_plane_of_a_known_slope() -> None:
     assert plane.slope_deg == pytest.approx(4.0, abs=1e-3)
     assert plane.roughness_m == pytest.approx(0.0, abs=1e-5)
     assert plane.position[2] == pytest.approx(np.tan(np.deg2rad(4.0)) * 7.9, abs=1e-4)
-    angle = np.deg2rad(4.0)
-    assert plane.normal == pytest.approx([-np.sin(angle), 0.0, np.cos(angle)], abs=1e-4)
 
 
 def test_empty_map_gives_no_candidate() -> None:

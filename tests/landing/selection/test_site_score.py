@@ -202,7 +202,7 @@ def _site(
     value: float, rule: SiteRule, *terms: tuple[TermName, float, float, str], accepted: bool = True
 ) -> Candidate:
     return Candidate(
-        position_odom=np.zeros(3), normal_odom=np.array([0.0, 0.0, 1.0]), c_sum=0.5,
+        position_odom=np.zeros(3), c_sum=0.5,
         slope_deg=0.0, roughness_m=0.0, clearance_m=3.0, accepted=accepted,
         reason=f"because of {rule}", rule=rule, value=value,
         terms=tuple(ScoreTerm(name=n, value=v, quantity=q, unit=u) for n, v, q, u in terms),
