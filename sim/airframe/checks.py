@@ -17,6 +17,7 @@ from touchdown.sim.airframe.vehicle import (
     vehicle_model,
 )
 from touchdown.sim.api import AIR_DENSITY_KGPM3, GRAVITY_MPS2, VehicleModel
+from touchdown.sim.geometry.tessellation import geom_mesh
 from touchdown.sim.typing import Array
 
 MAX_ROTORS = 12
@@ -116,9 +117,10 @@ def _leg_problems(model: Any, prefix: str, vehicle: VehicleModel) -> Iterator[st
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     for geom in np.flatnonzero(model.geom_conaffinity | model.geom_contype):
-        centre, half = model.geom_aabb[geom, :3], model.geom_aabb[geom, 3:]
-        rows = data.geom_xmat[geom].reshape(3, 3)[2]
-        bottom = data.geom_xpos[geom, 2] + rows @ centre - np.abs(rows) @ half
+        if (mesh := geom_mesh(model, int(geom), 0.0)) is None:
+            continue
+        up = data.geom_xmat[geom].reshape(3, 3)[2]
+        bottom = data.geom_xpos[geom, 2] + float((mesh[0] @ up).min())
         if bottom < low - _BELOW_M and not model.geom(geom).name.startswith(f"{prefix}leg"):
             yield (
                 f"geom '{model.geom(geom).name}' reaches {low - bottom:.3f} m below the feet; move "

@@ -13,7 +13,7 @@ from touchdown.experiments.config.settings import identity_of
 from touchdown.experiments.config.vehicles import examined, values_of
 from touchdown.scenes.api import VEHICLE_FOLDER, VEHICLES, Guests
 from touchdown.scenes.compose import load_scene, vehicle_spec
-from touchdown.sim.airframe.checks import induced_speed_mps, tipping_slope_deg
+from touchdown.sim.airframe.checks import checked_vehicle, induced_speed_mps, tipping_slope_deg
 from touchdown.sim.airframe.vehicle import foot_positions, sensor_mounts, vehicle_model
 from touchdown.sim.api import FaultParams
 from touchdown.sim.faults.disturbances import Disturbances
@@ -92,6 +92,21 @@ def test_bodies_inside_are_one_with_it_and_the_origin_is_the_centre_of_mass(
     np.testing.assert_allclose(vehicle.rotor_xy_m[0], [0.1, 0.2])  # half-way to the part
     assert vehicle.leg_height_m == pytest.approx(0.25)
     np.testing.assert_allclose(sensor_mounts(model, prefix="").imu.translation, [-0.1, 0, -0.05])
+
+
+def test_splayed_legs_reach_no_lower_than_their_ends(tmp_path: Path) -> None:
+    """The boxes around them do, by 15 mm."""
+    for end, is_low in ((-0.18, False), (-0.19, True)):
+        legs = "".join(
+            f'<geom type="capsule" size="0.02" fromto="0 0 0 {x} {y} {end}" mass="0.01"/>'
+            for x in (0.15, -0.15) for y in (0.15, -0.15)
+        )  # fmt: skip
+        model = vehicle_spec(write(tmp_path, BODY + legs)).compile()
+        if is_low:
+            with pytest.raises(ValueError, match="below the feet"):
+                checked_vehicle(model)
+        else:
+            checked_vehicle(model)
 
 
 @pytest.mark.parametrize(
