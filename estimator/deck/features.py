@@ -1,7 +1,5 @@
 """Corners on a deck, followed from image to image: where it is, between scans and below them."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 

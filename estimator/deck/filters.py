@@ -1,7 +1,5 @@
 """Kalman filters of a deck: its site on a course, its heave and tilt as damped oscillations."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from touchdown.estimator.api import SWAY, Array, DeckTrack, swayed

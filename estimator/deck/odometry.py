@@ -8,8 +8,6 @@ differences over tenths of a second alone. What moves misleads an odometry that 
 ground: while a deck is followed, the estimator gets the inertial sensors alone.
 """
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

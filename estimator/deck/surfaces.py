@@ -1,7 +1,5 @@
 """Level surfaces in a scan: where a deck is found, and its plane."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

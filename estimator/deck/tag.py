@@ -1,7 +1,5 @@
 """A printed AprilTag in the middle of a deck, read from images."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 

@@ -1,6 +1,7 @@
 """A landing on a deck that moves, by a vehicle that is where its setpoint is."""
 
 import dataclasses
+from collections.abc import Sequence
 
 import numpy as np
 import pytest
@@ -18,17 +19,22 @@ SPEED = np.array([2.0, -1.0, 0.0])
 
 class Deck:
     """A deck that comes into view after 3 s. It heaves and rolls until ``calm_s``; no scan measures
-    it from ``blind_s`` (2,) to the second of them."""
+    it from ``blind_s`` (2,) to the second of them; it accelerates by ``lean_mps2`` (3,)."""
 
-    def __init__(self, calm_s: float = 0.0, blind_s: tuple[float, float] = (1e9, 1e9)) -> None:
-        self.calm_s, self.blind_s, self.over_m = calm_s, blind_s, 0.0
+    def __init__(
+        self,
+        calm_s: float = 0.0,
+        blind_s: tuple[float, float] = (1e9, 1e9),
+        lean_mps2: Sequence[float] = (0.0, 0.0, 0.0),
+    ) -> None:
+        self.calm_s, self.blind_s, self.lean = calm_s, blind_s, np.array(lean_mps2)
         self.stage = Stage(np.array([0.0, 0.0, 20.0]), moving_site=True)
         self.stage.deck = self.track
         self.stage.carried = self.carried
 
     def site(self, time_s: float) -> Array:
         rough = 0.5 * np.sin(1.2 * time_s) if time_s < self.calm_s else 0.0
-        return np.array([20.0, 5.0, 1.0 + rough]) + time_s * SPEED
+        return np.array([20.0, 5.0, 1.0 + rough]) + time_s * SPEED + 0.5 * time_s**2 * self.lean
 
     def track(self, time_s: float) -> DeckTrack | None:
         if time_s < 3.0:
@@ -37,8 +43,9 @@ class Deck:
         rate = 0.6 * np.cos(1.2 * time_s) if waves else 0.0
         first, last = self.blind_s
         return DeckTrack(
-            site_odom=self.site(time_s), velocity_odom=SPEED + [0.0, 0.0, rate],
-            acceleration_odom=np.zeros(3),
+            site_odom=self.site(time_s),
+            velocity_odom=SPEED + time_s * self.lean + [0.0, 0.0, rate],
+            acceleration_odom=self.lean,
             heave=np.array([self.site(time_s)[2] - 1.0, rate]),
             slopes=np.array([[0.15 * waves, 0.0], [0.0, 0.0]]),
             seen_s=first if first < time_s < last else time_s, sigma_m=0.03, sigma_mps=0.1,
@@ -100,10 +107,11 @@ def test_a_deck_that_is_lost_from_sight_is_left_and_met_again() -> None:
     assert again.max() > 3.0 and times[-1] > clear[-1] + 4.0
 
 
-def test_a_deck_that_is_not_tracked_any_more_is_gone_along_with() -> None:
+@pytest.mark.parametrize("lean", [(0.0, 0.0, 0.0), (0.2, -0.1, 0.0)])
+def test_a_deck_that_is_not_tracked_any_more_is_gone_along_with(lean: Sequence[float]) -> None:
     """Its track ends for five seconds; it is met where its course has taken it."""
-    clear, _ = Deck().land()
-    deck, start = Deck(), clear[-1] - 6.0
+    clear, _ = Deck(lean_mps2=lean).land()
+    deck, start = Deck(lean_mps2=lean), clear[-1] - 6.0
     deck.stage.deck = lambda t: None if start < t < start + 5.0 else deck.track(t)
     times, over = deck.land()
     untracked = (times > start + 1.0) & (times < start + 5.0)
