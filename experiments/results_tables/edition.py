@@ -83,7 +83,8 @@ SETS = (
 def chosen(parts: Sequence[str] = ()) -> list[FlightSet]:
     """The sets of some parts, of all where none is named: a set, or `PAPER` for all sets of the
     reproduction. Raises UsageError for an unknown name."""
-    names = [PAPER, *(found.name for found in SETS if not found.of_paper), *MEASURED]
+    own = (found.name for found in SETS if not found.of_paper)
+    names = list(dict.fromkeys((PAPER, *own, *MEASURED)))
     for name in parts:
         if name not in names:
             raise UsageError(
