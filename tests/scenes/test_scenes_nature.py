@@ -276,3 +276,35 @@ def test_dunes_rise_gently_from_a_flat() -> None:
     height, _ = dunes.dune_profile(phase, np.full(4001, 2.5), 30.0)
     assert height.max() == pytest.approx(2.5, rel=1e-3) and not height[phase < 0.29].any()
     assert np.gradient(height, 30.0 * phase).max() < np.tan(np.deg2rad(18.0))
+
+
+def test_a_ditch_runs_beside_the_path_of_a_pitch() -> None:
+    rng = np.random.default_rng(0)
+    pitch = turf.draw_turf(0, rng, draw_frame(rng))
+    ditch, path = (
+        pitch.plot.coordinates(line)
+        for line in (np.array([pitch.ditch.start_xy_m, pitch.ditch.end_xy_m]), pitch.path)
+    )
+    beyond = (ditch[:, 1] - path[0, 1]) * np.sign(path[0, 1])
+    assert beyond == pytest.approx([3.2, 2.2], abs=1e-6)
+
+
+def test_an_airfield_has_a_hangar_and_a_club() -> None:
+    scene = cached_scene("turf", 2)
+    names = [scene.model.geom(index).name for index in range(scene.model.ngeom)]
+    assert sum(name.startswith("building_wall") for name in names) == 2
+
+
+def test_sastrugi_are_longer_along_the_wind_than_across() -> None:
+    """Ridges 3.6 times as long as wide: an equal drop of the correlation that much farther."""
+    rng = np.random.default_rng(4)
+    plan = snow.draw_plan(rng)
+    along = np.array([np.cos(plan.wind_angle), np.sin(plan.wind_angle)])
+    left = np.array([-along[1], along[0]])
+    u, v = np.meshgrid(np.arange(0.0, 60.0, 0.1), np.arange(0.0, 60.0, 0.1))
+    field = snow.sastrugi(rng, plan, u[..., None] * along + v[..., None] * left, 1.7)
+    rows, columns = (
+        np.mean((field - np.roll(field, 8, axis=axis))[8:, 8:] ** 2) for axis in (0, 1)
+    )  # over 0.8 m across and along
+    assert 4.0 < rows / columns < 12.0
+    assert np.abs(np.diff(field, axis=1)).max() < 0.4  # without breaks
