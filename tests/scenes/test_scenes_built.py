@@ -13,6 +13,7 @@ from touchdown.scenes.api import LAND_CLASSES, Scene, TruthMaps
 from touchdown.scenes.authoring.plots import Plot
 from touchdown.scenes.authoring.streets import STEP_M, Street, smooth_line
 from touchdown.scenes.places.footbridge import bridge as bridge_layout
+from touchdown.scenes.places.houses import homes
 from touchdown.scenes.places.rooftop_parking import deck as roof_layout
 from touchdown.scenes.truth.maps import judge_touchdown, truth_maps
 from touchdown.scenes.truth.static_surface import cast_down, class_ids
@@ -191,3 +192,15 @@ def test_below_the_bridge_is_a_road_or_water(seed: int) -> None:
         [plan.course.point(60.0, s * (plan.floor_m + 0.5 * plan.bank_m)) for s in (-1, 1)]
     )
     assert not any(judge_touchdown(scene, bank).safe_geometry for bank in banks)
+
+
+def test_house_fronts_keep_the_setback_and_the_gardens_pools() -> None:
+    plot = Plot(origin_xy_m=np.array([4.0, -3.0]), angle=0.4)
+    rng = np.random.default_rng(3)
+    drawn = [homes.draw_home(rng, plot, 18.0, 30.0, "pool") for _ in range(40)]
+    fronts = np.array([home.front_v for home in drawn])
+    assert homes.SETBACK_M <= fronts.min() < fronts.max() <= homes.SETBACK_M + 1.5
+    for home in drawn:
+        low, high = home.pool.box_m
+        assert home.back_v + 1.0 < low[1] and high[1] < home.depth_m
+        assert 0.0 < low[0] and high[0] < home.width_m

@@ -1,0 +1,11 @@
+"""Time by stage."""
+
+import pytest
+
+from touchdown.experiments.flight.observers import StageClock
+
+
+def test_time_of_a_stage_is_given_for_each_scan() -> None:
+    clock = StageClock()
+    clock.seconds.update(world=3.0, estimator=1.5)
+    assert clock.stage_ms(30.0) == pytest.approx({"estimator": 5.0, "world": 10.0})  # 300 scans
