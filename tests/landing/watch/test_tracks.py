@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from touchdown.landing.watch.surface import Layers
-from touchdown.landing.watch.tracks import Memory, Thing, Tracks
+from touchdown.landing.watch.surface import CELL_M, Layers
+from touchdown.landing.watch.tracks import Memory, Thing, Tracks, things_in
 from touchdown.sim.typing import Array
 
 SIZE, SCAN_S = 100, 0.1
@@ -72,3 +72,18 @@ def test_scans_tell_that_nobody_is_as_high_as_he_would_be() -> None:
 def test_a_short_way_is_no_run() -> None:
     path = np.column_stack([np.linspace(14.0, 12.1, 6), np.full(6, 10.0)])
     assert not velocity_of(path).any()
+
+
+def test_a_thing_is_as_high_as_it_stands_above_the_ground() -> None:
+    """On a hill, 1.7 m high; where most returns are is its middle."""
+    tall, ground = _NONE.copy(), np.full((SIZE, SIZE), 5.0, np.float32)
+    returns, high = np.zeros((SIZE, SIZE), np.float32), np.full_like(ground, 5.02)
+    tall[40, 20:23] = True
+    returns[40, 20:23], high[40, 20:23] = [10.0, 10.0, 20.0], [6.0, 6.7, 6.5]
+    corner = np.array([-7.0, 3.0])
+    was_free = _NONE.copy()
+    was_free[40, 20] = True
+    (thing,) = things_in(Layers(tall, ~tall, returns, ground, ground, high), corner, was_free)
+    assert thing.height_m == pytest.approx(1.7) and thing.top == pytest.approx(6.7)
+    assert thing.appeared == pytest.approx(1.0 / 3.0)
+    np.testing.assert_allclose(thing.middle, corner + CELL_M * np.array([21.75, 40.5]))
