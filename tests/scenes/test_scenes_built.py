@@ -203,4 +203,4 @@ def test_house_fronts_keep_the_setback_and_the_gardens_pools() -> None:
     for home in drawn:
         low, high = home.pool.box_m
         assert home.back_v + 1.0 < low[1] and high[1] < home.depth_m
-        assert 0.0 < low[0] and high[0] < home.width_m
+        assert low[0] > 0.0 and high[0] < home.width_m
