@@ -159,6 +159,18 @@ def test_a_return_has_the_colour_of_the_image_nearest_in_time() -> None:
     assert (early <= 60.0).all() and (late_ones >= 240.0).all()
 
 
+def test_the_colour_of_a_cell_is_the_mean_of_its_returns() -> None:
+    """A dark scan of 30 returns, then a bright one of 90."""
+    mapper = GridMapper(make_rig(), PARAMS)
+    for start, count, level in ((0, 30, 40), (600, 90, 200)):
+        down = np.tile([[0.004, 0.004, 1.0]], (count, 1))
+        scan = cast_scan(start + 60, down, [at_height(12.0)] * count)
+        images = (painted(start + 120, level + 10, level),)
+        view = fly(mapper, at_height(12.0), scan, start, images)
+    (red,) = red_by_place(view)[1]
+    assert red == pytest.approx(160.0, rel=1e-5)
+
+
 def test_colours_are_taken_through_the_lens() -> None:
     """Tangent 0.5 to the right, k1 = -0.2: 0.5 (1 - 0.05) times the focal length of 100."""
     image = np.repeat(np.arange(200, dtype=np.uint8)[None, :, None], 3, axis=2).repeat(100, axis=0)
