@@ -69,6 +69,8 @@ _ALL = (
     Measure("cpu_s", "CPU time", "s"),
 )
 MEASURES = {measure.column: measure for measure in _ALL}
+YES_OR_NO = ("safe", "success")
+"""columns that are 1 or 0, whose means are shares of flights"""
 
 
 def measure_of(column: str) -> Measure:

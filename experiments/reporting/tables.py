@@ -14,6 +14,7 @@ from touchdown.experiments.errors import visible
 from touchdown.experiments.reporting.flights import ordered, values, values_and_units
 from touchdown.experiments.reporting.measures import (
     SET_MARK,
+    YES_OR_NO,
     is_marked,
     measure_of,
     setting_notes,
@@ -124,10 +125,13 @@ def _of_measure(column: str, kind: str, title: str, of: Callable[..., Any], **mo
 
 
 def mean(column: str, title: str = "", **more: Any) -> Column:
-    """Mean of a column of the rows with its interval."""
+    """Mean of a column of the rows with its interval, Wilson's of a share of flights."""
 
     def of(own: pd.DataFrame) -> Estimate | None:
-        return mean_interval(*values_and_units(own, column))
+        found, units = values_and_units(own, column)
+        if column in YES_OR_NO and len(found):
+            return clustered_fraction(found, units)
+        return mean_interval(found, units)
 
     return _of_measure(column, "", title, of, **more)
 

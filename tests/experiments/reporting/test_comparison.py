@@ -111,3 +111,11 @@ def test_sites_given_up_from_closer_are_counted() -> None:
     ]
     given_up = Choice(time_s=3.0, selector="risk", why="", given_up="a car", earlier=before)
     assert (given_up.go_arounds, Choice(time_s=3.0, selector="risk", why="").go_arounds) == (2, 0)
+
+
+def test_ten_safe_landings_of_ten_are_not_certain() -> None:
+    """Wilson's interval of ten flights, not the spread of ten equal numbers."""
+    rows = [row | {"scene": "lake"} for row in flights("risk", 0.0, 10)[:10]]
+    table = comparison.level_table(frame_of(rows))
+    column = table.header.index("safe landings (%)")
+    assert table.rows[0][column].detail == "[72.2, 100]"
