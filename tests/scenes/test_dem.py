@@ -52,6 +52,14 @@ def height_at(scene: Scene, x: float, y: float) -> float:
     return float(heights[0, 0])
 
 
+def test_cells_without_a_place_on_earth_are_of_a_metre(tmp_path: Path) -> None:
+    with pytest.warns(rasterio.errors.NotGeoreferencedWarning):
+        raster = read_heights(
+            write_tiff(tmp_path / "bare.tif", ramp(), transform=Affine.identity())
+        )
+    assert raster.cell_m.tolist() == [1.0, 1.0] and raster.size_m.tolist() == [141.0, 121.0]
+
+
 def test_heights_equal_the_model_and_are_zero_at_the_takeoff(tmp_path: Path) -> None:
     tif = write_tiff(tmp_path / "hill.tif", ramp())
     scene = load(import_dem(tif, tmp_path / "out", window_m=120.0))

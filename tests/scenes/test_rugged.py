@@ -1,6 +1,7 @@
 """`rugged`: its dials are met by the relief, the rocks and the safe ground, and what is seen of it
 is what rays and feet meet."""
 
+import dataclasses
 import functools
 import itertools
 from typing import Any
@@ -14,9 +15,10 @@ from touchdown.experiments.cli import main as cli
 from touchdown.experiments.config.loading import load_config
 from touchdown.experiments.errors import UsageError
 from touchdown.scenes.api import RuggedParams, Scene
-from touchdown.scenes.authoring.relief import HALF_M
+from touchdown.scenes.authoring.builder import SceneBuilder
+from touchdown.scenes.authoring.relief import HALF_M, HeightField
 from touchdown.scenes.compose import load_scene
-from touchdown.scenes.places.rugged import paint, rocks
+from touchdown.scenes.places.rugged import objects, paint, rocks
 from touchdown.scenes.places.rugged.presets import PRESETS, Dials
 from touchdown.scenes.places.rugged.relief import (
     CELL_M,
@@ -165,6 +167,33 @@ def test_a_wall_throws_the_shadow_of_its_height() -> None:
         aside = np.round(30 + np.arange(3, 20) * way[1]).astype(int)
         assert int((depth[aside, ahead] > 0.05).sum()) == pytest.approx(9, abs=2)
         assert depth[30 - int(5 * way[1]), 30 - int(5 * way[0])] < 1e-3
+
+
+def test_pads_lie_apart_and_nothing_lies_on_them() -> None:
+    """Logs of 2 to 10 m, felled about the same way; scrub and stumps beside the pads alone."""
+    rng = np.random.default_rng(5)
+    given = dials(preset="felled_forest", safe_fraction=0.1)
+    ground = shape_ground(rng, given)
+    safe = SafeGround(rng=rng, heights=ground, things=np.zeros_like(ground))
+    safe.reach(0.1, np.zeros(2))
+    middles = np.array([pad.xy_m for pad in safe.pads])
+    reach = np.array([pad.reach_m for pad in safe.pads])
+    room = np.linalg.norm(middles[:, None] - middles, axis=-1) - reach[:, None] - reach
+    assert len(middles) > 20 and room[~np.eye(len(room), dtype=bool)].min() > 1.3
+    plants = objects.draw_plants(rng, given)
+    ways = plants.logs[:, 2:] - plants.logs[:, :2]
+    inside = (np.abs(plants.logs) < HALF_M - 1.5).all(axis=1)
+    lengths = np.linalg.norm(ways[inside], axis=1)
+    assert 2.0 <= lengths.min() < 4.0 and 8.0 < lengths.max() <= 10.0
+    mean = np.abs(np.mean(np.exp(1j * np.arctan2(ways[inside, 1], ways[inside, 0]))))
+    assert mean == pytest.approx(np.exp(-0.5 * 0.45**2), abs=0.1)
+    scrub = dataclasses.replace(plants, scrub=rng.uniform(-20.0, 20.0, (60, 2)))
+    flat = HeightField(heights_m=np.zeros((2, 2)))
+    builder = SceneBuilder(spec=mujoco.MjSpec(), rng=rng, terrain=flat, sun=-np.eye(3)[2])
+    objects.place_plants(builder, scrub, safe)
+    bushes = [geom.pos[:2] for geom in builder.spec.geoms if geom.name.startswith("trees_scrub")]
+    assert 10 < len(bushes) < 60
+    assert min(pad.distance(bush) for bush in bushes for pad in safe.pads) > 0.7
 
 
 def test_the_truth_maps_find_the_safe_fraction() -> None:

@@ -6,7 +6,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from touchdown.landing.classification.survey_images import SurveyImages, brightened
+from touchdown.landing.classification.survey_images import (
+    SurveyImages,
+    _ground_points,
+    brightened,
+)
 from touchdown.sim.api import CameraImage
 from touchdown.sim.frames import Pose, rotation_from_yaw, so3_exp
 from touchdown.sim.geometry.lens import project
@@ -169,3 +173,13 @@ def test_a_dim_patch_is_as_bright_as_by_day_and_keeps_its_hue() -> None:
     noisy = np.random.default_rng(3).integers(0, 30, (64, 64, 3)).astype(np.uint8)
     ratio = brightened(noisy).std() / brightened(noisy).mean()
     assert ratio < 0.6 * noisy.std() / noisy.mean()
+
+
+def test_the_square_on_the_ground_has_its_side_however_the_camera_leans() -> None:
+    lean = Pose(
+        so3_exp(np.array([0.0, 0.9, 0.0])) @ so3_exp(np.array([np.pi, 0.0, 0.0])), np.zeros(3)
+    )
+    points = _ground_points(lean, np.array([3.0, -1.0, 0.5]), 6.0, np.array([-0.5, 0.0, 0.5]))
+    np.testing.assert_allclose(points[1, 1], [3.0, -1.0, 0.5], atol=1e-9)
+    np.testing.assert_allclose(np.linalg.norm(points[1, 2] - points[1, 0]), 6.0)
+    np.testing.assert_allclose(np.linalg.norm(points[2, 1] - points[0, 1]), 6.0)
