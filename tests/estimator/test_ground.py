@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from touchdown.estimator.api import HEIGHT_BIN_M, HEIGHT_BINS, GridMap
-from touchdown.estimator.ground import _Heights, _pool
+from touchdown.estimator.ground import _Heights, _own_modes, _pool
 from touchdown.estimator.mapping.kernels import Grid, Pulses, accumulate_heights
 from touchdown.sim.typing import Array
 
@@ -234,3 +234,14 @@ def test_single_returns_from_below_the_ground_are_errors_and_three_are_the_groun
 def test_histogram_that_is_full_keeps_its_shares() -> None:
     counts, _ = histogram_of(*[0.0, 0.0, 0.1] * 400)
     assert 100 < counts.max() <= 255 and counts[4] / counts[9] == pytest.approx(2.0, rel=0.1)
+
+
+def test_the_outer_bins_move_no_surface() -> None:
+    """The last bin holds all that is higher, at no height of its own."""
+    histogram = np.zeros((1, 1, HEIGHT_BINS), np.uint8)
+    histogram[0, 0, -2:] = [80, 120]
+    own, ends = np.full((1, 1), np.nan, np.float32), np.zeros((1, 1, 2), np.uint8)
+    one = np.ones((1, 1), np.float32)
+    _own_modes(histogram, 2.0 * one, one, one.astype(np.uint8), own, ends)
+    assert own[0, 0] == pytest.approx(2.0 + (HEIGHT_BINS - 1.5) * HEIGHT_BIN_M, abs=1e-3)
+    assert ends[0, 0].tolist() == [HEIGHT_BINS - 2, HEIGHT_BINS - 1]

@@ -38,9 +38,10 @@ def step(
     sink: float = 2.0,
     scans: Any = (),
     phase: Phase = Phase.DESCEND,
+    above: tuple[float, float] = (0.0, 0.0),
 ) -> Any:
     truth = SimpleNamespace(
-        time_s=time_s, world_from_body=Pose(np.eye(3), np.array([0.0, 0.0, height])),
+        time_s=time_s, world_from_body=Pose(np.eye(3), np.array([*above, height])),
         velocity_world=np.array([0.0, 0.0, -sink]),
         intruders_world=np.array([foot], float) if foot else np.zeros((0, 3)),
     )  # fmt: skip
@@ -120,3 +121,10 @@ def test_who_is_seen_too_late_cannot_be_avoided(height: float, avoidable: bool) 
     unseen = IntrusionObserver(RIG)
     unseen.tick(step(1.0, 3.3, (9, 0, 0)))
     assert unseen.summary().avoidable is False  # type: ignore[union-attr]
+
+
+def test_who_stands_on_a_hill_far_from_the_origin_is_below_by_the_difference() -> None:
+    observer = IntrusionObserver(RIG)
+    observer.tick(step(3.0, 25.3, (-40, 30, 15), above=(-40.0, 28.0)))
+    found = observer.summary()
+    assert found is not None and found.in_view_height_m == pytest.approx(10.0)
