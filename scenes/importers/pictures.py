@@ -58,7 +58,6 @@ def read_rgb(path: Path, *, grey: bool = True, what: str = "an image") -> Image:
 
     with _decoded(path, what) as image, quiet_libraries():
         _check_kind(image, path, grey)
-        image.load()
         turned = ImageOps.exif_transpose(image)
         return np.ascontiguousarray(np.asarray(turned.convert("RGB")))
 

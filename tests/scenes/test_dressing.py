@@ -90,3 +90,15 @@ def test_a_flood_has_that_water(monkeypatch: pytest.MonkeyPatch) -> None:
     with varied_materials(np.random.default_rng(5)):
         generation.paint_terrain(builder, _canvas(), {}, flood=flood)
         assert looks == [planned, varied(planned)] and looks[0] != looks[1]
+
+
+@pytest.mark.parametrize("material", Ground, ids=lambda material: material.name.lower())
+def test_ground_has_the_mean_colour_of_its_material(material: Ground) -> None:
+    """Patterns and spots vary it by a tenth of it at most; between rows of crops is soil."""
+    canvas = Canvas.of_size(10.0, 128)
+    canvas.material[:] = int(material)
+    image = np.empty((128, 128, 3), np.uint8)
+    light = np.ones((128, 128), np.float32)
+    ground_shader(np.random.default_rng(2), canvas, light, {})(image)
+    off = 0.2 if material is Ground.CROPS else 0.1
+    np.testing.assert_allclose(image.reshape(-1, 3).mean(axis=0), material.look.rgb, rtol=off)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from touchdown.scenes.authoring.builder import SceneBuilder
 from touchdown.scenes.authoring.relief import HeightField
 from touchdown.scenes.props import (
+    cars,
     garden,
     plants,
     playground,
@@ -106,3 +107,22 @@ def test_a_thatched_roof_has_four_dark_courses_a_slope() -> None:
     half = rows.reshape(2, 256)
     for first in (64, 128, 192):
         assert (half[:, first : first + 3] < 0.85 * half[:, first + 6 : first + 9]).all()
+
+
+@pytest.mark.parametrize("name", cars.SHAPES)
+def test_panels_of_a_car_show_what_was_drawn_for_their_side(name: str) -> None:
+    """From above the upper band of the picture, from aside the middle one, the ends the lower."""
+    shape = cars.SHAPES[name]
+    mesh = cars.car_mesh(shape)
+    corners, rows = mesh.vertices[mesh.faces], mesh.uv[mesh.faces][..., 1] * cars.ATLAS_PX
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    body = rows.max(axis=1) < 480.0  # not a tyre
+    above, aside = normal[:, 2] > 0.12, (normal[:, 2] <= 0.12) & (np.abs(normal[:, 1]) > 0.6)
+    first = np.select([above, aside], [cars.TOP_ROW, cars.SIDE_ROW], cars.END_ROW)
+    high = np.where(above, shape.width_m, shape.height_m) * cars.PX_PER_M
+    inside = (rows >= first[:, None] - 1.0) & (rows <= (first + high)[:, None] + 1.0)
+    assert body.sum() > 20 and inside[body].all()
+    along = corners[..., 0] + 0.5 * shape.length_m
+    u = mesh.uv[mesh.faces][..., 0] * cars.ATLAS_PX / cars.PX_PER_M
+    np.testing.assert_allclose(u[body & (above | aside)], along[body & (above | aside)], atol=1e-3)

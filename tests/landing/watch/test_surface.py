@@ -16,9 +16,7 @@ def test_each_return_is_placed_by_the_pose_at_its_time() -> None:
     times = np.array([0.01, 0.04, 0.1, 0.1], np.float32)
     count = np.zeros((50, 50), np.float32)
     low, high = np.full_like(count, np.inf), np.full_like(count, -np.inf)
-    cells, heights = binned(
-        directions, ranges, times, rotations, positions, 0.05, count, low, high
-    )
+    cells, heights = binned(directions, ranges, times, rotations, positions, 0.05, count, low, high)
     first, last = (20, 35), (40, 20)  # rows and columns of 0.2 m
     assert [divmod(int(cell), 50) for cell in cells] == [first, first, last]
     assert (count[first], count[last], count.sum()) == (2.0, 1.0, 3.0)
