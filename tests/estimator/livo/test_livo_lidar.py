@@ -346,6 +346,10 @@ def test_the_watch_reports_lasting_changes_only() -> None:
         "the LIDAR does not measure translation along 2 axes and rotation about 1 axis"
     ]
     assert said[10] == ["the LIDAR measures the whole pose again"]
+    turns = LidarReport(matched=99, weak_translation=0, weak_rotation=1)
+    assert [watch.events(turns) for _ in range(3)][2] == [
+        "the LIDAR does not measure rotation about 1 axis"
+    ]
 
 
 def water_and_raft(rng: np.random.Generator, raft_m: float) -> np.ndarray:
