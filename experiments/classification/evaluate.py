@@ -242,7 +242,7 @@ def print_evaluation(report: Mapping[str, Any]) -> None:
     if "image_ms" in report:
         cost += [
             f"peak RAM {report['peak_ram_mb']:.0f} MB",
-            f"{report['image_ms']:.1f} ms an image on one thread ({report['engine']})",
+            f"{report['image_ms']:.1f} ms an image on one thread",
         ]
     console.print(", ".join(cost))
 

@@ -120,8 +120,10 @@ def test_evaluating_by_command(
     assert report["rom_mb"] == trained.stat().st_size / 1e6
     assert report["peak_ram_mb"] > 20.0 and report["image_ms"] > 0.0
     assert list(report["by_source"]) == ["d_land"]
-    assert cli.main([*arguments[:-1], "--no-cost"]) == 0
-    assert "true class by row, predicted class by column" in capsys.readouterr().out
+    assert cli.main(arguments[:-1]) == 0
+    printed = capsys.readouterr().out
+    assert "true class by row, predicted class by column" in printed
+    assert " ms an image on one thread\n" in printed
 
 
 def test_weight_undoes_what_a_network_claims_too_much() -> None:
