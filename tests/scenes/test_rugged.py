@@ -16,6 +16,7 @@ from touchdown.experiments.config.loading import load_config
 from touchdown.experiments.errors import UsageError
 from touchdown.scenes.api import RuggedParams, Scene
 from touchdown.scenes.authoring.builder import SceneBuilder
+from touchdown.scenes.authoring.ground import Canvas, Ground
 from touchdown.scenes.authoring.relief import HALF_M, HeightField
 from touchdown.scenes.compose import load_scene
 from touchdown.scenes.places.rugged import objects, paint, rocks
@@ -254,3 +255,18 @@ def test_dials_override_the_preset() -> None:
     assert made.rock_abundance == PRESETS["lava"].rock_abundance
     config = load_config(None, ["scene=rugged", "rugged.preset=lava", "rugged.slope_deg=0"])
     assert Dials.of(config.rugged).slope_deg == 0.0
+
+
+@pytest.mark.parametrize("deep", [0.0, 0.4])
+def test_snow_is_white_where_it_lies_and_nowhere_else(deep: float) -> None:
+    """On the western half of level ground, without rocks and tussocks."""
+    rng, level = np.random.default_rng(2), np.zeros((NODES, NODES))
+    snow = level.copy()
+    snow[:, : NODES // 2] = deep
+    canvas = Canvas.of_size(2.0 * HALF_M, paint.TEXELS)
+    none = rocks.draw_rocks(rng, 0.0, 1.0, np.ones((8, 8)))
+    paint.paint_ground(rng, canvas, dials(preset="alpine"), level, snow, level, none, none)
+    white = (canvas.material == int(Ground.SNOW)).mean(axis=0)
+    edge = paint.TEXELS // 20
+    west, east = white[: paint.TEXELS // 2 - edge], white[paint.TEXELS // 2 + edge :]
+    assert east.max() < 0.05 and (west.min() > 0.95 if deep else west.max() == 0.0)
