@@ -33,6 +33,9 @@ _MIN_RETURNS_FRACTION = 1e-3
 _ISOLATED_GAP_M = 1.0
 _NOWHERE = np.float32(np.inf)
 _DROPOUT_PERIODS = 3.5
+_AHEAD_S = 5.0
+"""for how long no message of a stream is used after two with stamps from the future: those whose
+latency hides it are as wrong"""
 """a sensor that has delivered once is in dropout after so many of its periods"""
 _SECTORS = 12
 _SECTOR_PULSES, _BLIND_RETURNS, _BLIND_SCANS = 20, 0.02, 10
@@ -209,6 +212,9 @@ class _Stream:
         """defect of the previous message, without its numbers"""
         self._refused = 0
         """consecutive messages"""
+        self._ahead_ticks = round(_AHEAD_S * tick_hz)
+        self._ahead = (-self._ahead_ticks, -self._ahead_ticks)
+        """deliveries of the last two messages from the future"""
 
     def screen(
         self,
@@ -260,6 +266,10 @@ class _Stream:
 
     def _stamp_fault(self, message: LidarScan | CameraImage, now: int) -> str:
         start, end = _ticks(message)
+        if end > now:
+            self._ahead = self._ahead[1], now
+        if now - self._ahead[0] < self._ahead_ticks:
+            return "its clock runs ahead"
         if end > now:
             return "from the future"
         if start > end or (start == end and isinstance(message, LidarScan)):

@@ -67,6 +67,19 @@ def test_scans_that_are_refused(changes: dict[str, Any], word: str) -> None:
     assert guard.refused == 1
 
 
+def test_two_stamps_from_the_future_show_a_clock_that_runs_ahead() -> None:
+    """A scan a second, delivered 36 ticks after its end by its stamp, two of them before it."""
+    late = dict.fromkeys(range(10), 36) | {2: -6, 3: -6}
+    observed = [make_obs(60 + 600 * k + late[k], scans=(scan(60 + 600 * k),)) for k in range(10)]
+    taken = [k for k in range(10) if screen(*observed[: k + 1])[0].scans]
+    assert taken == [0, 1, 7, 8, 9]  # none for five seconds after the first of the two
+    events = screen(*observed)[1]
+    assert [e for e in events if "clock" in e or "future" in e] == [
+        "scan 1260 refused: from the future", "scan 1860 refused: its clock runs ahead",
+    ]  # fmt: skip
+    assert screen(*observed[:3], *observed[4:5])[0].scans, "one is chance"
+
+
 def test_a_sector_that_goes_blind_is_named_and_so_is_its_sight() -> None:
     """600 beams in a cone; none comes back from azimuths of 60 to 90 degrees, then all do. Where
     most of them are missing, as over water, nothing is said."""
