@@ -33,10 +33,10 @@ _MIN_RETURNS_FRACTION = 1e-3
 _ISOLATED_GAP_M = 1.0
 _NOWHERE = np.float32(np.inf)
 _DROPOUT_PERIODS = 3.5
+"""a sensor that has delivered once is in dropout after so many of its periods"""
 _AHEAD_S = 5.0
 """for how long no message of a stream is used after two with stamps from the future: those whose
 latency hides it are as wrong"""
-"""a sensor that has delivered once is in dropout after so many of its periods"""
 _SECTORS = 12
 _SECTOR_PULSES, _BLIND_RETURNS, _BLIND_SCANS = 20, 0.02, 10
 """pulses of a sector about the boresight from which its returns tell something, the fraction of

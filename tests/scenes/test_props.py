@@ -48,7 +48,7 @@ UNCLAIMED = {"add_pile", "add_post"}
 """parts of others, which reserve the place"""
 
 
-def flat_builder() -> SceneBuilder:
+def slope_builder() -> SceneBuilder:
     """On a plane that rises by 0.1 to the east."""
     slope = np.tile(np.linspace(-2.0, 2.0, 41), (41, 1))
     return SceneBuilder(
@@ -75,7 +75,7 @@ def corners(model: Any) -> NDArray[np.float64]:
 
 @pytest.mark.parametrize("prop", PROPS, ids=lambda prop: f"{prop.__module__[-6:]}.{prop.__name__}")
 def test_a_prop_stands_where_it_is_put(prop: Callable[..., Any]) -> None:
-    builder = flat_builder()
+    builder = slope_builder()
     models = {pools.add_umbrella: pools.add_umbrella_models, pools.add_lounger:
               pools.add_lounger_models}  # fmt: skip
     given = {

@@ -171,7 +171,7 @@ def test_a_wall_throws_the_shadow_of_its_height() -> None:
 
 
 def test_pads_lie_apart_and_nothing_lies_on_them() -> None:
-    """Logs of 2 to 10 m, felled about the same way; scrub and stumps beside the pads alone."""
+    """Logs of 2 to 10 m, felled about the same way; scrub beside the pads alone."""
     rng = np.random.default_rng(5)
     given = dials(preset="felled_forest", safe_fraction=0.1)
     ground = shape_ground(rng, given)

@@ -9,6 +9,7 @@ import pytest
 
 from touchdown.experiments.benchmarks.limit import survey
 from touchdown.experiments.campaign.directory import settle_plan
+from touchdown.experiments.campaign.plan import load_plan
 from touchdown.experiments.campaign.results_table import ROW_FILE, RUNS, write_table
 from touchdown.experiments.cli import main as cli
 from touchdown.experiments.errors import UsageError
@@ -414,3 +415,15 @@ def test_the_bound_names_its_logs_without_the_way_to_them(
     monkeypatch.setattr(survey, "measure", lambda run, *_: {"run": str(run), "scene": run.name})
     found = edition.MEASURED["limit"](tmp_path)
     assert found == {"runs": [{"run": "lake", "scene": "lake"}]}
+
+
+def test_programs_of_others_fly_with_the_best_settings_of_their_trials() -> None:
+    best = {}
+    for name in ("rko_lio", "dlio"):
+        found = json.loads((ROOT / f"docs/results/tuning/{name}.json").read_text())
+        best[found["estimator"]] = found["best_settings"]
+    runs = load_plan(ROOT / "configs/others.toml").runs
+    assert {run.values["estimator"] for run in runs} == best.keys()
+    for run in runs:
+        settings = best[run.values["estimator"]]
+        assert {key: run.values[key] for key in settings} == settings
