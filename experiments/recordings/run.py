@@ -92,6 +92,8 @@ def open_recording(path: Path, parts: RigParts) -> Recording:
         return EurocFolder(path)
     if path.is_dir() and KittiFolder.holds(path):
         return KittiFolder(path)
+    if (path / SENSORS_FILE).is_file():
+        raise UsageError(f"'{path}' is a run: `touchdown fly --replay {path}` replays it")
     raise UsageError(
         f"'{path}' is no recording: no bag (.bag, or a folder with metadata.yaml), no log of PX4 "
         "(.ulg), no folder of EuRoC (mav0/) and none of KITTI odometry (calib.txt, velodyne/)"

@@ -34,7 +34,8 @@ def test_files_exist_and_dotted_names_are_keys_or_can_be_imported(page: Path) ->
         if f'"{key}"' in results or code in known_keys():
             continue
         if section in FOLDERS and key not in (keys.get(section) or {}):
-            assert _importable(code), f"{name_of(page)}: {code} is neither a key nor in the code"
+            told = f"{name_of(page)}: {code} is neither a key nor in the code"
+            assert _importable(f"touchdown.{code}"), told
         elif isinstance(keys.get(section), dict) and section != "external":  # any key goes there
             assert key in keys[section], f"{name_of(page)}: {code} is no key"
 

@@ -256,6 +256,7 @@ def train(
 ) -> PeopleNetwork:
     """Trains anew. The learning rate rises and falls once; the network returned is the moving
     average of the weights. From time to time squares are drawn about mistakes."""
+    batch_size = min(batch_size, len(images))
     torch.manual_seed(seed)
     rng = np.random.default_rng(seed)
     network = PeopleNetwork().to(memory_format=torch.channels_last)  # type: ignore[call-overload]

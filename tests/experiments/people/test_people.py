@@ -194,6 +194,8 @@ def test_training_finds_what_it_was_shown(tmp_path: Path) -> None:
     losses: list[float] = []
     network = train(shown, 35, 0, lambda _epoch, loss: losses.append(loss), batch_size=8)
     assert losses[-1] < 0.3 * losses[0]
+    train(shown[:3], 1, 0, lambda _epoch, loss: losses.append(loss))
+    assert losses[-1] > 0.0, "fewer images than a batch has"
     empty = Labelled(held[0].image, PIXEL_M, held[0].boxes[:0], (), held[0].metres[:0],
                      held[0].shown[:0])  # fmt: skip
     assert len(mistakes(network, empty)) == len(mistakes(network, held[0])) + 2

@@ -282,6 +282,9 @@ def test_data_and_rigs_that_do_not_fit(
     told = says(2, "replay", str(euroc), "--rig", str(rig), "--out", str(tmp_path / "a")).err
     assert "two cameras have images of different sizes" in told
     assert "is no recording" in says(2, "replay", str(tmp_path), "--out", str(tmp_path / "a")).err
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run/sensors.mcap").touch()
+    assert "`touchdown fly --replay " in says(2, "replay", str(tmp_path / "run")).err
     assert "does not exist" in says(2, "replay", str(tmp_path / "x")).err
     scan = next((kitti / "sequences/00/velodyne").iterdir())
     whole = scan.read_bytes()
