@@ -54,6 +54,10 @@ class Display(Watcher):
             self._bar = self._progress.add_task("", total=self._total, completed=done)
             self._progress.start()
 
+    def record(self, todo: Sequence[Task]) -> None:
+        if todo:
+            self._say(f"once more, to record what was unsuccessful: {len(todo)}")
+
     def see(self, event: Event) -> None:
         now, run_id, kind = time.monotonic(), event["run_id"], event["event"]
         if kind == "started":

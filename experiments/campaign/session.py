@@ -58,6 +58,9 @@ class Watcher:
     def start(self, todo: Sequence[Task], done: int, jobs: int) -> None:
         """Called before the first run; ``done`` runs were finished earlier."""
 
+    def record(self, todo: Sequence[Task]) -> None:
+        """Called before unsuccessful runs are flown once more, for their recordings."""
+
     def see(self, event: Event) -> None:
         """Takes an event of `Arrivals`."""
 
@@ -113,7 +116,9 @@ def fly_campaign(
 
         def fly(runs: Sequence[PlannedRun], *, record: bool) -> None:
             tasks = [_task(run, directory, runner, record=record) for run in runs]
-            if not record:
+            if record:
+                watcher.record(tasks)
+            else:
                 watcher.start(tasks, len(mine) - len(tasks), engine.jobs)
             shas = {run.run_id: run.config_sha for run in runs}
             if tasks:

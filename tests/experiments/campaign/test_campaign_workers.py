@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 from touchdown.experiments.campaign.plan import load_plan
+from touchdown.experiments.campaign.progress import Display
 from touchdown.experiments.campaign.results_table import load_rows
 
 from support.campaign_flights import attempts, axes, fly, make_plan
@@ -73,6 +74,16 @@ def test_a_crash_keeps_its_traceback(faulty: tuple[Path, dict[str, Any]]) -> Non
 def test_only_unsuccessful_flights_are_recorded(faulty: tuple[Path, dict[str, Any]]) -> None:
     recorded = {path.parent.name for path in (faulty[0] / "runs").glob("*/flight.rrd")}
     assert recorded == {"flat-fake.is_lost-s0"}
+
+
+def test_a_second_flight_for_a_recording_is_announced(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    plan = make_plan(tmp_path, axes(scene=["flat"], estimator=["fake:good", "fake:is_lost"]))
+    fly(plan, tmp_path / "out", watcher=Display())
+    assert "to record what was unsuccessful: 1" in capsys.readouterr().err
+    fly(plan, tmp_path / "out", watcher=Display())
+    assert "once more" not in capsys.readouterr().err
 
 
 def test_no_partial_files_remain(faulty: tuple[Path, dict[str, Any]]) -> None:
