@@ -42,6 +42,8 @@ class Descent:
     seconds: float = 3.0
     slope: float = 0.0
     """rise of the ground along x"""
+    plants_m: float = 0.0
+    """height up to which pulses return from plants on the ground"""
     drift_mps: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """of the estimate"""
     returned: float = 1.0
@@ -67,8 +69,9 @@ class Descent:
         ticks, hz = rig.lidar_scan_ticks, rig.tick_hz
         offsets = np.linspace(0.0, ticks / hz, pulses)
         times = [start_tick / hz + float(part.mean()) for part in np.split(offsets, _PARTS)]
-        parts = zip(times, np.split(beams, _PARTS), strict=True)
-        ranges = np.concatenate([self._ranges(rig, at, part) for at, part in parts])
+        lifts = rng.uniform(0.0, self.plants_m, pulses) if self.plants_m else np.zeros(pulses)
+        parts = zip(times, np.split(beams, _PARTS), np.split(lifts, _PARTS), strict=True)
+        ranges = np.concatenate([self._ranges(rig, *part) for part in parts])
         ranges += rng.normal(0.0, _NOISE_M, pulses)
         ranges[rng.random(pulses) >= self.returned] = 0.0
         return LidarScan(
@@ -78,10 +81,11 @@ class Descent:
             intensity=np.full(pulses, 40, np.uint8),
         )  # fmt: skip
 
-    def _ranges(self, rig: SensorRig, time_s: float, beams: Array) -> Array:
+    def _ranges(self, rig: SensorRig, time_s: float, beams: Array, lifts: Array) -> Array:
         pose = self.pose_at(time_s) @ rig.body_from_lidar
         origin, along = pose.translation, beams @ pose.rotation.T
-        hit = -(origin[2] - self.slope * origin[0]) / (along[:, 2] - self.slope * along[:, 0])
+        above = origin[2] - self.slope * origin[0] - lifts
+        hit = -above / (along[:, 2] - self.slope * along[:, 0])
         for box in self.boxes:
             if time_s < box.from_s:
                 continue

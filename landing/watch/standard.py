@@ -127,7 +127,8 @@ class StandardWatch:
             return
         self._ground_z = below
         self._seen_s = seen.obs.time_s
-        things = things_in(layers, corner, self._memory.was_free(now))
+        before = self._memory.was_free(now), self._memory.was_low(now)
+        things = things_in(layers, corner, *before)
         self._memory.add(now, layers)
         tops = None if seen.known is None else _known_tops(seen.known, layers, corner)
         for track in self._tracks.update(things, now, layers, corner):

@@ -56,6 +56,8 @@ class Thing(NamedTuple):
     height_m: float
     appeared: float
     """fraction of its cells where the ground was free half a second and more before"""
+    came: float
+    """the same where there was nothing as high: among plants no ground is free"""
 
 
 class Memory:
@@ -106,15 +108,30 @@ class Memory:
 
     def was_free(self, time_s: float) -> Mask | None:
         """Where the ground was free and nothing stood beside; None without a scan that old."""
-        old = [(r, f) for at, r, f, _ in self._scans if _AGO_S <= time_s - at <= _LONGEST_S]
-        if not old:
-            return None
-        rises = np.logical_or.reduce([r for r, _ in old]).astype(np.uint8)
-        free: Mask = np.add.reduce([f for _, f in old], dtype=np.uint8) >= _FREE_SCANS
-        return free & (cv2.dilate(rises, np.ones((3, 3), np.uint8)) == 0)
+        old = self._old(time_s)
+        return _steadily([free for _, _, free, _ in old], [rises for _, rises, _, _ in old])
+
+    def was_low(self, time_s: float) -> Mask | None:
+        """The same of what is as low as plants."""
+        heights = [height for *_, height in self._old(time_s)]
+        return _steadily([h < _MIN_NEW_M for h in heights], [h >= _MIN_NEW_M for h in heights])
+
+    def _old(self, time_s: float) -> list[tuple[float, Mask, Mask, Float32]]:
+        return [one for one in self._scans if _AGO_S <= time_s - one[0] <= _LONGEST_S]
 
 
-def things_in(layers: Layers, corner: Array, was_free: Mask | None) -> list[Thing]:
+def _steadily(free: list[Mask], rises: list[Mask]) -> Mask | None:
+    """Where enough scans were free and none rose, nor beside; None without scans."""
+    if not free:
+        return None
+    risen = np.logical_or.reduce(rises).astype(np.uint8)
+    often: Mask = np.add.reduce(free, dtype=np.uint8) >= _FREE_SCANS
+    return often & (cv2.dilate(risen, np.ones((3, 3), np.uint8)) == 0)
+
+
+def things_in(
+    layers: Layers, corner: Array, was_free: Mask | None, was_low: Mask | None
+) -> list[Thing]:
     """Returns what stands on the ground. ``corner`` (2,): of the grid, odom frame."""
     count, labels = cv2.connectedComponents(layers.tall.astype(np.uint8), connectivity=8)
     rows, cols = np.nonzero(layers.tall)
@@ -136,6 +153,7 @@ def things_in(layers: Layers, corner: Array, was_free: Mask | None) -> list[Thin
             middle=np.average(cells, axis=0, weights=returns), cells=cells,
             top=float(layers.high[at].max()), tops=layers.high[at].astype(np.float64),
             height_m=height, appeared=0.0 if was_free is None else float(was_free[at].mean()),
+            came=0.0 if was_low is None else float(was_low[at].mean()),
         ))  # fmt: skip
     return found
 
@@ -152,7 +170,7 @@ class Track:
     appeared: int = 0
     """number of scans in which it stood where nothing had stood"""
     lately: deque[bool] = field(default_factory=lambda: deque(maxlen=5))
-    """the same of the last scans"""
+    """whether it has come to where it stands, of the last scans"""
     new: int = 0
     """number of scans in which the map did not have it"""
     velocity: Array = field(default_factory=lambda: np.zeros(2))
@@ -175,9 +193,9 @@ class Track:
         self._follow()
 
     def _follow(self) -> None:
-        appeared = self.thing.appeared >= _APPEARED and self.thing.height_m >= _MIN_NEW_M
-        self.appeared += appeared
-        self.lately.append(appeared)
+        high = self.thing.height_m >= _MIN_NEW_M
+        self.appeared += high and self.thing.appeared >= _APPEARED
+        self.lately.append(high and self.thing.came >= _APPEARED)
         self.path.append((self.seen_s, self.thing.middle))
         near = [(t, xy) for t, xy in self.path if self.seen_s - t <= _FIT_S]
         times = np.array([t for t, _ in near]) - self.seen_s

@@ -66,6 +66,17 @@ def test_a_walker_towards_the_site_is_predicted() -> None:
     assert found.distance_m > 3.0 and found.height_m == pytest.approx(1.7, abs=0.1)
 
 
+@pytest.mark.parametrize("comes", [True, False])
+def test_a_walker_through_a_meadow_is_predicted(comes: bool) -> None:
+    walker = Box(middle=(0.0, 5.5 if comes else 60.0), size=PERSON, velocity=(0.0, -1.5))
+    descent = Descent(
+        boxes=(walker,), plants_m=0.3, known=False, around=True, touchdown_s=5.0,
+        pose_at=lambda _: at(6.0),
+    )  # fmt: skip
+    time_s, reason = first(watched(descent))
+    assert (reason[:20] == "something that moves" and time_s < 2.0) if comes else not reason
+
+
 def test_a_walker_who_leaves_does_not_matter() -> None:
     """He has passed by when the vehicle touches down."""
     walker = Box(middle=(0.5, 3.0), size=PERSON, velocity=(0.0, 1.2))

@@ -13,13 +13,13 @@ _UNKNOWN = np.full((SIZE, SIZE), np.nan, np.float32)
 UNSEEN = Layers(_NONE, _NONE, _UNKNOWN, _UNKNOWN, _UNKNOWN, _UNKNOWN)
 
 
-def velocity_of(path: Array, appeared: float = 0.0, known: int = 0) -> Array:
-    """``known``: number of the last scans in which it does not appear."""
+def velocity_of(path: Array, came: float = 0.0, known: int = 0) -> Array:
+    """``known``: number of the last scans in which it has not come."""
     tracks = Tracks()
     for i, at in enumerate(path):
         cells = at + np.array([[0.0, 0.0], [0.2, 0.0], [0.4, 0.0]])
-        new = appeared if i < len(path) - known else 0.0
-        thing = Thing(at, cells, top=1.6, tops=np.full(3, 1.6), height_m=1.6, appeared=new)
+        new = came if i < len(path) - known else 0.0
+        thing = Thing(at, cells, 1.6, np.full(3, 1.6), height_m=1.6, appeared=0.0, came=new)
         (track,) = tracks.update([thing], i * SCAN_S, UNSEEN, np.zeros(2))
     return track.velocity
 
@@ -37,20 +37,20 @@ def test_who_is_fast_moves_wherever_he_comes_from(mps: float, off_m: float, runs
 def test_who_walks_goes_straight_on(off_m: float, moves: bool) -> None:
     path = np.column_stack([14.0 - 1.9 * SCAN_S * np.arange(13), np.full(13, 10.0)])
     path[1::2, 1] += off_m
-    assert velocity_of(path, appeared=1.0)[0] == pytest.approx(-1.9 if moves else 0.0, abs=1e-6)
+    assert velocity_of(path, came=1.0)[0] == pytest.approx(-1.9 if moves else 0.0, abs=1e-6)
 
 
 @pytest.mark.parametrize(("off_m", "moves"), [(0.05, True), (0.3, False)])
 def test_over_a_short_way_it_is_straighter(off_m: float, moves: bool) -> None:
     path = np.column_stack([14.0 - 1.2 * SCAN_S * np.arange(6), np.full(6, 10.0)])
     path[1::2, 1] += off_m
-    assert bool(velocity_of(path, appeared=1.0).any()) is moves
+    assert bool(velocity_of(path, came=1.0).any()) is moves
 
 
 @pytest.mark.parametrize(("known", "moves"), [(1, True), (2, False)])
 def test_who_walks_is_where_the_ground_was_free(known: int, moves: bool) -> None:
     path = np.column_stack([14.0 - 1.2 * SCAN_S * np.arange(6), np.full(6, 10.0)])
-    assert bool(velocity_of(path, appeared=1.0, known=known).any()) is moves
+    assert bool(velocity_of(path, came=1.0, known=known).any()) is moves
 
 
 def test_scans_tell_that_nobody_is_as_high_as_he_would_be() -> None:
@@ -69,6 +69,26 @@ def test_scans_tell_that_nobody_is_as_high_as_he_would_be() -> None:
     assert memory.is_low(0.5, np.array([60, 60])) and not memory.is_low(0.5, np.array([60, 70]))
 
 
+def test_among_plants_nothing_is_free_but_all_of_it_is_low() -> None:
+    """A meadow of 0.3 m beside a bare half, a bush in it that only some scans meet."""
+    memory, ground = Memory(), np.zeros((SIZE, SIZE), np.float32)
+    for scan in range(6):
+        high = np.full_like(ground, 0.02)
+        high[:, :50] = 0.3
+        if scan == 2:
+            high[40, 20] = 0.5
+        seen = np.ones_like(ground)
+        seen[60:, 60:] = float(scan < 2)
+        free = (high < 0.15) & (seen > 0.0)
+        memory.add(0.1 * scan, Layers(_NONE, free, seen, ground, ground, high))
+    assert memory.was_low(0.5) is None and memory.was_free(0.5) is None
+    was_free, was_low = memory.was_free(1.1), memory.was_low(1.1)
+    assert was_free is not None and was_low is not None
+    assert was_free[50, 60] and not was_free[50, 30] and was_low[50, 30]
+    assert not was_low[39:42, 19:22].any() and was_low[40, 22]
+    assert not was_low[70, 70] and not was_free[70, 70]  # seen too seldom
+
+
 def test_a_short_way_is_no_run() -> None:
     path = np.column_stack([np.linspace(14.0, 12.1, 6), np.full(6, 10.0)])
     assert not velocity_of(path).any()
@@ -81,9 +101,11 @@ def test_a_thing_is_as_high_as_it_stands_above_the_ground() -> None:
     tall[40, 20:23] = True
     returns[40, 20:23], high[40, 20:23] = [10.0, 10.0, 20.0], [6.0, 6.7, 6.5]
     corner = np.array([-7.0, 3.0])
-    was_free = _NONE.copy()
-    was_free[40, 20] = True
-    (thing,) = things_in(Layers(tall, ~tall, returns, ground, ground, high), corner, was_free)
+    was_free, was_low = _NONE.copy(), _NONE.copy()
+    was_free[40, 20] = was_low[40, 20:22] = True
+    layers = Layers(tall, ~tall, returns, ground, ground, high)
+    (thing,) = things_in(layers, corner, was_free, was_low)
     assert thing.height_m == pytest.approx(1.7) and thing.top == pytest.approx(6.7)
     assert thing.appeared == pytest.approx(1.0 / 3.0)
+    assert thing.came == pytest.approx(2.0 / 3.0)
     np.testing.assert_allclose(thing.middle, corner + CELL_M * np.array([21.75, 40.5]))
