@@ -24,9 +24,9 @@ _AGO_S, _LONGEST_S = 0.55, 2.0
 _FREE_SCANS = 3
 """number of those that have to show free ground"""
 _KEPT = 20
-_LATELY_S, _AROUND_M, _SEEN, _LOW_M = 0.6, 1.0, 0.5, 0.7
+_LATELY_S, _AROUND_M, _SEEN, _LOW_M = 0.6, 1.0, 0.5, 0.45
 """age of scans, distance to a place, fraction of the cells there, and height below which all has to
-be where nobody sits or stands"""
+be where neither a person nor a dog is"""
 _GATE_M, _FASTEST_MPS = 0.5, 6.0
 """distance to where a thing was expected, and speed of one seen for the first time"""
 _FORGET_S, _LOST_S = 4.0, 0.35
@@ -96,7 +96,7 @@ class Memory:
 
     def is_low(self, time_s: float, cell: Indices) -> bool:
         """Whether the last scans show what is around a ``cell`` (2,), column and row, and nothing
-        there as high as somebody who sits."""
+        there as high as a dog."""
         reach = round(_AROUND_M / CELL_M)
         col, row = cell.tolist()
         lately = [height for at, _, _, height in self._scans if time_s - at <= _LATELY_S]
