@@ -13,13 +13,13 @@ _UNKNOWN = np.full((SIZE, SIZE), np.nan, np.float32)
 UNSEEN = Layers(_NONE, _NONE, _UNKNOWN, _UNKNOWN, _UNKNOWN, _UNKNOWN)
 
 
-def velocity_of(path: Array, came: float = 0.0, known: int = 0) -> Array:
+def velocity_of(path: Array, came: float = 0.0, known: int = 0, height_m: float = 1.6) -> Array:
     """``known``: number of the last scans in which it has not come."""
     tracks = Tracks()
     for i, at in enumerate(path):
         cells = at + np.array([[0.0, 0.0], [0.2, 0.0], [0.4, 0.0]])
         new = came if i < len(path) - known else 0.0
-        thing = Thing(at, cells, 1.6, np.full(3, 1.6), height_m=1.6, appeared=0.0, came=new)
+        thing = Thing(at, cells, 1.6, np.full(3, 1.6), height_m, appeared=0.0, came=new)
         (track,) = tracks.update([thing], i * SCAN_S, UNSEEN, np.zeros(2))
     return track.velocity
 
@@ -51,6 +51,11 @@ def test_over_a_short_way_it_is_straighter(off_m: float, moves: bool) -> None:
 def test_who_walks_is_where_the_ground_was_free(known: int, moves: bool) -> None:
     path = np.column_stack([14.0 - 1.2 * SCAN_S * np.arange(6), np.full(6, 10.0)])
     assert bool(velocity_of(path, came=1.0, known=known).any()) is moves
+
+
+def test_what_is_as_low_as_plants_does_not_walk() -> None:
+    path = np.column_stack([14.0 - 1.2 * SCAN_S * np.arange(6), np.full(6, 10.0)])
+    assert [velocity_of(path, came=1.0, height_m=h).any() for h in (0.3, 0.4)] == [False, True]
 
 
 def test_scans_tell_that_nobody_is_as_high_as_he_would_be() -> None:
