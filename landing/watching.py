@@ -82,7 +82,7 @@ class WatchInput:
 
 class Watch(Protocol):
     """Looks at the landing place while the vehicle descends to it. ``look`` is called in each
-    control step between 15 m and 1 m above the ground; it must be deterministic, must not modify
+    control step between 15 m and 0.15 m above the ground; it must be deterministic, must not modify
     its input, and must take for a message only what has arrived. After a break of more than a
     second it begins anew."""
 

@@ -38,6 +38,8 @@ _LIFT_OFF_HEIGHT_M = 0.1
 _NEES_HZ = 10.0
 _REST_S = 0.5
 _REST_SPEED_MPS = 0.05
+_STOPPED_RADPS = 5.0
+"""rotor speed below which rotors stand: the flight is over, whoever walks into its vehicle"""
 STANDING_TOLERANCE_M = 0.05
 """Largest difference in height between a touching leg and the truth map: half of the step of 0.10 m
 that the geometric rule allows, as a map that is further off cannot vouch for it. Feet sink in by
@@ -214,8 +216,13 @@ class Referee:
     def _judge_contacts(self, truth: Truth, view: LanderView) -> Outcome | None:
         if self._lift_off_s is None or truth.time_s < self._lift_off_s + 1.0:
             return None
+        # Beside a deck's rails it stands only where it does not slide.
+        landed = self._touchdown.contact_xy is not None and truth.deck is None
+        stands = landed and float(truth.rotor_speed_radps.max()) < _STOPPED_RADPS
         for contact in truth.contacts:
             with_moving = contact.other in self._moving_geoms - self._ground.decks
+            if with_moving and stands:
+                return self._ended(view)
             if contact.part != "leg" or with_moving or view.phase not in _DESCENDING:
                 self._reason = f"{contact.part} touched {contact.other} in {view.phase}"
                 return Outcome.COLLIDED
@@ -230,13 +237,17 @@ class Referee:
             if self._survey_only:
                 return Outcome.ABORTED if view.aborted else Outcome.COMPLETED
             if self._at_rest(truth):
-                if view.no_site:
-                    return Outcome.NO_SITE
-                return Outcome.ABORTED if view.aborted else Outcome.LANDED
+                return self._ended(view)
         if truth.time_s >= self._params.timeout_s:
             self._reason = f"still {view.phase} after {truth.time_s:.0f} s"
             return Outcome.TIMEOUT
         return None
+
+    @staticmethod
+    def _ended(view: LanderView) -> Outcome:
+        if view.no_site:
+            return Outcome.NO_SITE
+        return Outcome.ABORTED if view.aborted else Outcome.LANDED
 
     def _at_rest(self, truth: Truth) -> bool:
         speed = float(np.linalg.norm(velocity_over_deck(truth)))

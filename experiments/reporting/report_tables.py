@@ -297,8 +297,9 @@ def intruder_table(frame: pd.DataFrame) -> Table:
     ]
     notes = [
         "Where nobody is sent, each interruption is a false alarm. The other figures are of "
-        "flights that somebody was sent into. Hit: a collision with what moves. Too late to stop: "
-        "when he came within 8 m in view, the vehicle could not have stopped 2 m above the ground. "
+        "flights that somebody was sent into. Hit: touched by what moves while the rotors "
+        "turn. Too late to stop: when he came within 8 m in view, the vehicle could not have "
+        "stopped 2 m above the ground. "
         "Reaction: from then to the first interruption, 0 where it came before."
     ]
     sent = "intrusion.avoidable" in frame and frame["intrusion.avoidable"].notna().any()

@@ -11,15 +11,14 @@ from touchdown.landing.mission.state import MissionState
 from touchdown.sim.api import Observation
 from touchdown.sim.typing import Array
 
-HIGHEST_M, LOWEST_M = 15.0, 1.0
+HIGHEST_M, LOWEST_M = 15.0, 0.15
 """heights of the legs above the ground between which the watch looks"""
-_LOWEST_WAITING_M = 0.5
 _WATCHED = frozenset({Phase.APPROACH, Phase.DESCEND, Phase.RETURN})
 _KNOWN_M = 8.0
 """half the side of the map that is remembered around a site"""
 _SAME_SITE_M = 3.0
-_LAST_S = 2.2
-"""time of the last 0.2 m above what the speed of the final descent takes"""
+_SLOW_M = 0.2
+"""height from which the vehicle sinks at touchdown speed"""
 
 
 class Lookout:
@@ -54,8 +53,7 @@ class Lookout:
         if before is not None and np.isfinite(before.height_m):
             height = before.height_m
         legs = height - self._leg_height
-        lowest = _LOWEST_WAITING_M if state.gave_way_s > 0.0 else LOWEST_M
-        if state.phase not in _WATCHED or not lowest < legs < HIGHEST_M:
+        if state.phase not in _WATCHED or not LOWEST_M < legs < HIGHEST_M:
             return None
         seen = WatchInput(
             obs=obs, estimate=estimate, map_view=map_view, site_odom=site,
@@ -67,7 +65,8 @@ class Lookout:
     def _left_s(self, legs_m: float) -> float:
         """Time until the touchdown, by the speeds that are set."""
         params, low = self._params, min(legs_m, self._params.commit_height_m)
-        return (legs_m - low) / params.descent_speed_mps + low / params.final_speed_mps + _LAST_S
+        slow = min(legs_m, _SLOW_M) / params.touchdown_speed_mps
+        return (legs_m - low) / params.descent_speed_mps + low / params.final_speed_mps + slow
 
     def _known(self, site: Array, decisions: int, grid: GridMap) -> GridMap | None:
         if decisions != self._decisions:

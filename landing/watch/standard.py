@@ -48,6 +48,9 @@ _SPARE_M = 0.5
 _REACH_M = 3.5
 """height of the body below which it climbs at once where somebody is in the way: nobody reaches
 higher"""
+_CLOSE_M = 1.2
+"""height of the body below which people and what moves alone interrupt a descent, and images are
+not looked at: they show little but the vehicle's own shadow"""
 _LOOK_AFTER_S = 3.0
 """time in the way after which it climbs to see more, from below ``landing.look_height_m``"""
 _SAME_M = 0.6
@@ -94,7 +97,9 @@ class StandardWatch:
         self._poses.add(now, seen.estimate.odom_from_body)
         for image in seen.obs.images if self._sightings is not None else ():
             pose = self._poses.at(image.time_s)
-            if self._sightings is not None and pose is not None and np.isfinite(self._ground_z):
+            if self._sightings is None or pose is None:
+                continue
+            if pose.translation[2] - self._ground_z > _CLOSE_M:
                 self._sightings.add(image, pose, self._ground_z)
                 self._hold_for(self._sightings, seen, now)
         for scan in seen.obs.scans:
@@ -184,7 +189,10 @@ class StandardWatch:
     def _judge(self, findings: list[Finding], layers: Layers, seen: WatchInput, now: float) -> None:
         speed = float(np.linalg.norm(seen.estimate.velocity_odom[:2]))
         near = _NEAR_M + min(speed * _REACT_S + 0.5 * speed**2 / _BRAKE_MPS2, _NEAR_M)
-        blocking = [one for one in findings if _reason(one, seen, near)]
+        height = self._height(layers, seen)
+        goes_on = height < _CLOSE_M and self._report.verdict is Verdict.GO
+        counts = [one for one in findings if not goes_on or one.kind in ("moving", "person")]
+        blocking = [one for one in counts if _reason(one, seen, near)]
         reason = _reason(blocking[0], seen, near) if blocking else ""
         if reason:
             if now - self._blocked_s > _CLEAR_S:
@@ -192,11 +200,7 @@ class StandardWatch:
             self._blocked_s = now
         elif now - self._blocked_s < _CLEAR_S:
             reason = self._report.reason
-        verdict, aside, height = (
-            Verdict.WAIT if reason else Verdict.GO,
-            None,
-            self._height(layers, seen),
-        )
+        verdict, aside = Verdict.WAIT if reason else Verdict.GO, None
         alive = [one for one in blocking if one.kind in ("moving", "new", "person")]
         if alive and height < _REACH_M:
             verdict = Verdict.CLIMB

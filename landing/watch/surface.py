@@ -46,10 +46,12 @@ Mask = NDArray[np.bool_]
 
 
 class Layers(NamedTuple):
-    """What one scan shows, (N, N) for a grid of N cells along a side, row = y."""
+    """What the last two scans show, (N, N) for a grid of N cells along a side, row = y."""
 
     tall: Mask
     """something stands there"""
+    newest: Mask
+    """the last scan alone has a return from above the ground there"""
     free: Mask
     """ground without anything on it"""
     returns: Float32
@@ -62,6 +64,15 @@ class Layers(NamedTuple):
     """z of the highest return; -inf without one"""
 
 
+class _Scan(NamedTuple):
+    """One scan: cells and heights of its returns, number and highest of each cell."""
+
+    cells: NDArray[np.int64]
+    heights: Float32
+    returns: Float32
+    high: Float32
+
+
 class Surface:
     """Returns of the last scans about the vehicle."""
 
@@ -70,6 +81,9 @@ class Surface:
         self._renewed_s = -np.inf
         self._lows = np.full((2, CELLS, CELLS), np.inf, np.float32)
         self._sized = False
+        self._before: _Scan | None = None
+        self._around = False
+        """whether the LIDAR looks around"""
         self.corner: Array = np.zeros(2)
         """(2,) corner of the grid, odom frame, a multiple of the cell"""
         self.shift = (0, 0)
@@ -79,9 +93,11 @@ class Surface:
         """Forgets all."""
         self._lows.fill(np.inf)
         self._renewed_s = -np.inf
+        self._before = None
 
     def add(self, scan: LidarScan, poses: PoseHistory) -> Layers | None:
-        """Returns what a scan shows; None where the poses of the body do not span it."""
+        """Returns what a scan and the one before show; None where the poses of the body do not
+        span it."""
         knots = [
             poses.at(time_s) for time_s in np.linspace(scan.start_time_s, scan.end_time_s, _KNOTS)
         ]
@@ -91,7 +107,8 @@ class Surface:
         if not self._sized:
             self._sized = True
             down = -scan.directions @ self._body_from_lidar.rotation[2].astype(np.float32)
-            if float(np.quantile(down, 0.1)) < _AROUND:
+            self._around = float(np.quantile(down, 0.1)) < _AROUND
+            if self._around:
                 self._lows = np.full((2, WIDE_CELLS, WIDE_CELLS), np.inf, np.float32)
         size = self._lows.shape[1:]
         middle = mounted[-1].translation[:2]
@@ -111,20 +128,24 @@ class Surface:
             count, low, high,
         )  # fmt: skip
         self._keep(low)
+        before, self._before = self._before, _Scan(cells, heights, count, high)
         lowest = np.minimum(self._lows[0], self._lows[1])
         ground = ground_below(lowest)
-        flat = ground.ravel()[cells]
-        tall = np.bincount(cells[heights > flat + TALL_M], minlength=count.size)
-        share = tall.reshape(size) / np.maximum(count, 1.0)
-        stands = (share >= _TALL_SHARE) & (count >= 2.0)
-        if size[0] == WIDE_CELLS:
-            tall = np.bincount(cells[heights > flat + _ASIDE_TALL_M], minlength=count.size)
+        aside = np.zeros(size, bool)
+        if self._around:
             at = (np.arange(size[0]) + 0.5) * CELL_M + self.corner[:, None] - middle[:, None]
             aside = np.hypot(at[0], at[1][:, None]) > mounted[-1].translation[2] - ground
-            share = tall.reshape(size) / np.maximum(count, 1.0)
-            stands |= aside & (share >= _ASIDE_SHARE) & (tall.reshape(size) >= 2)
+        newest = high > ground + TALL_M
+        stands = _stands(self._before, ground, aside)
+        if before is not None and self.shift == (0, 0):
+            both = _Scan(
+                np.concatenate([before.cells, cells]), np.concatenate([before.heights, heights]),
+                before.returns + count, np.maximum(before.high, high),
+            )  # fmt: skip
+            stands |= _stands(both, ground, aside)
+            _, _, count, high = both
         free = (count > 0.0) & (high < ground + _FREE_M)
-        return Layers(stands, free, count, lowest, ground, high)
+        return Layers(stands, newest, free, count, lowest, ground, high)
 
     def _keep(self, low: Float32) -> None:
         """Adds the lowest returns of a scan. The ones before move with the ground as it is now: the
@@ -147,6 +168,22 @@ class Surface:
             self.shift = rows, cols
             self.corner = centred * CELL_M
             self._lows = np.stack([shifted(low, self.shift, np.inf) for low in self._lows])
+
+
+def _stands(scan: _Scan, ground: Float32, aside: Mask) -> Mask:
+    """Where something stands on the ground. ``aside``: what is seen from the side."""
+    above, count = scan.heights - ground.ravel()[scan.cells], scan.returns
+
+    def taller(least_m: float) -> Float32:
+        per_cell = np.bincount(scan.cells[above > least_m], minlength=count.size)
+        return per_cell.reshape(count.shape).astype(np.float32)
+
+    pulses = np.maximum(count, 1.0)
+    stands: Mask = (taller(TALL_M) >= _TALL_SHARE * pulses) & (count >= 2.0)
+    if aside.any():
+        tall = taller(_ASIDE_TALL_M)
+        stands |= aside & (tall >= _ASIDE_SHARE * pulses) & (tall >= 2)
+    return stands
 
 
 def shifted(layer: NDArray, by: tuple[int, int], blank: float) -> NDArray:  # type: ignore[type-arg]

@@ -144,7 +144,8 @@ def things_in(
         at = rows[first:last], cols[first:last]
         returns = layers.returns[at]
         height = float((layers.high[at] - layers.ground[at]).max())
-        if last - first < _MIN_CELLS or returns.sum() < _MIN_RETURNS:
+        few = last - first < _MIN_CELLS or returns.sum() < _MIN_RETURNS
+        if few or not layers.newest[at].any():
             continue
         cells = corner + CELL_M * (np.column_stack([at[1], at[0]]) + 0.5)
         if not _MIN_HEIGHT_M <= height <= _MAX_HEIGHT_M or np.ptp(cells, 0).max() > _MAX_WIDTH_M:

@@ -227,8 +227,26 @@ def test_honest_aborts(flags: dict[str, bool], expected: Outcome) -> None:
 def test_rotors_and_moving_things_must_not_be_touched(contact: Contact) -> None:
     referee = make_referee()
     fly_to_descent(referee)
-    outcome = judge(referee, 61.0, [5, 6, 1.0], Phase.DESCEND, contacts=(contact,))
+    turning = {"contacts": (contact,), "rotor_speed_radps": np.full(4, 60.0)}
+    outcome = judge(referee, 61.0, [5, 6, 1.0], Phase.DESCEND, **turning)
     assert outcome is Outcome.COLLIDED and contact.other in referee.result(Outcome.COLLIDED).reason
+
+
+@pytest.mark.parametrize(("flags", "expected"), [
+    ({}, Outcome.LANDED), ({"no_site": True}, Outcome.NO_SITE), ({"aborted": True}, Outcome.ABORTED)
+])  # fmt: skip
+def test_who_walks_into_a_vehicle_whose_rotors_stand_ends_its_flight(
+    flags: dict[str, bool], expected: Outcome
+) -> None:
+    for rotors, outcome in ((60.0, Outcome.COLLIDED), (0.0, expected)):
+        referee = make_referee()
+        fly_to_descent(referee)
+        now = {"rotor_speed_radps": np.full(4, rotors), "view": flags}
+        assert judge(referee, 61.0, [5, 6, 0.3], Phase.DESCEND, contacts=LEG_ON_LAWN, **now) is None
+        walks_in = (*LEG_ON_LAWN, Contact(part="rotor", other="car", normal_force_n=1.0))
+        assert (
+            judge(referee, 62.0, [5, 6, 0.3], Phase.TOUCHDOWN, contacts=walks_in, **now) is outcome
+        )
 
 
 def test_lost_tipped_and_late() -> None:

@@ -93,14 +93,14 @@ def test_the_descent_waits_and_goes_on_where_it_was(below_m: float) -> None:
     assert not [event for event in free.events if "site_not_clear" in event]
 
 
-def test_it_looks_from_15_m_to_1_m_and_nothing_interrupts_below() -> None:
-    flown = Flown(lambda legs, _: Verdict.WAIT if legs < 1.0 else Verdict.GO)
+def test_it_looks_from_15_m_to_the_last_decimetres_and_nothing_interrupts_below() -> None:
+    flown = Flown(lambda legs, _: Verdict.WAIT if legs < 0.15 else Verdict.GO)
     heights = [legs for _, legs in flown.watch.asked]
-    assert 14.0 < max(heights) < 15.0 and 1.0 < min(heights) < 1.05
+    assert 14.0 < max(heights) < 15.0 and 0.15 < min(heights) < 0.16
     assert flown.view.phase is Phase.DONE and not any("not_clear" in e for e in flown.events)
     seen = flown.watch.seen
     assert seen is not None and seen.known is not None
-    assert seen.touchdown_s == pytest.approx(1.0 / 0.6 + 2.2, abs=0.1)
+    assert seen.touchdown_s == pytest.approx(0.15 / 0.6 + 0.15 / 0.09, abs=0.1)
 
 
 def test_it_climbs_to_look_and_comes_back() -> None:

@@ -113,7 +113,10 @@ def test_a_drifting_position_changes_nothing(drift: tuple[float, float, float]) 
 def test_who_stands_where_the_map_has_nobody_is_new() -> None:
     """A map from before is what tells; a drop of 0.1 m is no person."""
     person = Box(middle=(0.0, 1.5), size=PERSON)
-    assert "something new, 1.7 m high" in first(watched(Descent(boxes=(person,))))[1]
+    assert first(watched(Descent(boxes=(person,))))[1][:18] in (
+        "something new, 1.7",
+        "something new, 1.8",
+    )
     assert first(watched(Descent(boxes=(person,), known=False)))[0] == math.inf
     low = dataclasses.replace(person, size=(0.4, 0.5, 0.2))
     assert first(watched(Descent(boxes=(low,))))[0] == math.inf
@@ -170,6 +173,36 @@ def test_a_lidar_that_looks_around_sees_who_comes_from_aside(
     time_s, reason = first(watched(around))
     assert reason.startswith("something that moves ") and away_m - mps * time_s > 0.6 * away_m
     assert first(watched(down))[0] == math.inf
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_two_scans_show_what_one_hardly_does(seed: int) -> None:
+    """A dog from 10 m up by half the pulses, three a scan of its upper part."""
+    dog = Box(middle=(0.0, 6.5), size=(0.6, 0.25, 0.5), velocity=(0.0, -2.0))
+    descent = Descent(
+        boxes=(dog,), seconds=2.0, touchdown_s=5.0, around=True, returned=0.5, seed=seed,
+        pose_at=lambda _: at(10.0),
+    )  # fmt: skip
+    assert first(watched(descent))[1].startswith("something that moves ")
+
+
+@pytest.mark.parametrize("around", [True, False])
+def test_in_the_last_metre_only_who_comes_is_in_the_way(around: bool) -> None:
+    """A dog that runs up, where LIDARs look around; not a box that appears, but where it was in the
+    way from higher up."""
+    dog = Box(middle=(0.0, 6.0), size=(0.6, 0.25, 0.55), velocity=(0.0, -2.0))
+    box = Box(middle=(0.2, 0.2), from_s=0.8)
+
+    def reports(thing: Box, height_m: float, sinks_mps: float = 0.0) -> list[Verdict]:
+        descent = Descent(
+            boxes=(thing,), seconds=2.2, touchdown_s=2.0, around=around,
+            pose_at=lambda t: at(height_m - sinks_mps * max(t - 1.2, 0.0)),
+        )  # fmt: skip
+        return [report.verdict for _, report in watched(descent)]
+
+    assert (Verdict.CLIMB in reports(dog, 0.7)) is around
+    assert set(reports(box, 0.7)) == {Verdict.GO}
+    assert reports(box, 1.4, 0.6)[-1] is Verdict.CLIMB
 
 
 def test_what_stays_in_the_way_is_evaded_where_the_ground_is_level_and_free() -> None:
@@ -260,3 +293,27 @@ def test_somebody_in_images_near_the_site_is_in_the_way(
         assert first.obs.images and not first.obs.scans
         if mps:  # before he is there
             assert float(next(filter(None, reasons)).split()[1]) > 3.6
+
+
+def test_images_of_the_last_metre_are_not_looked_at(monkeypatch: pytest.MonkeyPatch) -> None:
+    rig, asked = synthetic_rig(), []
+
+    class Detector:
+        def __init__(self, _network: Path) -> None: ...
+
+        def find(self, _image: object, _metres_per_pixel: float) -> tuple[Person, ...]:
+            asked.append(1)
+            return ()
+
+    monkeypatch.setattr("touchdown.landing.watch.standard.PeopleDetector", Detector)
+    for height_m, looks in ((1.1, False), (1.3, True)):
+        watch = StandardWatch(
+            WatchRig(sensors=rig, landing=LandingParams(people_network="people.onnx"))
+        )
+        for seen in Descent(pose_at=lambda _, z=height_m: at(z), seconds=0.5).seen(rig):
+            obs = seen.obs
+            picture = CameraImage(
+                tick=obs.tick, time_s=obs.time_s, rgb=np.zeros((2, 2, 3), np.uint8)
+            )
+            watch.look(dataclasses.replace(seen, obs=dataclasses.replace(obs, images=(picture,))))
+        assert bool(asked) is looks

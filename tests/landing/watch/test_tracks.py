@@ -10,7 +10,7 @@ from touchdown.sim.typing import Array
 SIZE, SCAN_S = 100, 0.1
 _NONE = np.zeros((SIZE, SIZE), bool)
 _UNKNOWN = np.full((SIZE, SIZE), np.nan, np.float32)
-UNSEEN = Layers(_NONE, _NONE, _UNKNOWN, _UNKNOWN, _UNKNOWN, _UNKNOWN)
+UNSEEN = Layers(_NONE, _NONE, _NONE, _UNKNOWN, _UNKNOWN, _UNKNOWN, _UNKNOWN)
 
 
 def velocity_of(path: Array, came: float = 0.0, known: int = 0, height_m: float = 1.6) -> Array:
@@ -66,7 +66,7 @@ def test_scans_tell_that_nobody_is_as_high_as_he_would_be() -> None:
     high[70:90, 70:90] = -np.inf
     seen = np.isfinite(high).astype(np.float32)
     memory = Memory()
-    memory.add(0.0, Layers(_NONE, _NONE, seen, ground, ground, high))
+    memory.add(0.0, Layers(_NONE, _NONE, _NONE, seen, ground, ground, high))
     low = [memory.is_low(0.5, np.array([at, at])) for at in (30, 51, 56, 80, 2, 97)]
     assert low == [True, True, False, False, False, False]
     assert not memory.is_low(1.0, np.array([30, 30]))
@@ -85,7 +85,7 @@ def test_among_plants_nothing_is_free_but_all_of_it_is_low() -> None:
         seen = np.ones_like(ground)
         seen[60:, 60:] = float(scan < 2)
         free = (high < 0.15) & (seen > 0.0)
-        memory.add(0.1 * scan, Layers(_NONE, free, seen, ground, ground, high))
+        memory.add(0.1 * scan, Layers(_NONE, _NONE, free, seen, ground, ground, high))
     assert memory.was_low(0.5) is None and memory.was_free(0.5) is None
     was_free, was_low = memory.was_free(1.1), memory.was_low(1.1)
     assert was_free is not None and was_low is not None
@@ -108,9 +108,11 @@ def test_a_thing_is_as_high_as_it_stands_above_the_ground() -> None:
     corner = np.array([-7.0, 3.0])
     was_free, was_low = _NONE.copy(), _NONE.copy()
     was_free[40, 20] = was_low[40, 20:22] = True
-    layers = Layers(tall, ~tall, returns, ground, ground, high)
+    layers = Layers(tall, tall, ~tall, returns, ground, ground, high)
     (thing,) = things_in(layers, corner, was_free, was_low)
     assert thing.height_m == pytest.approx(1.7) and thing.top == pytest.approx(6.7)
     assert thing.appeared == pytest.approx(1.0 / 3.0)
     assert thing.came == pytest.approx(2.0 / 3.0)
     np.testing.assert_allclose(thing.middle, corner + CELL_M * np.array([21.75, 40.5]))
+    gone = layers._replace(newest=_NONE)  # only the scan before the last has seen it
+    assert not things_in(gone, corner, was_free, was_low)
