@@ -132,9 +132,10 @@ class StandardWatch:
             return
         self._ground_z = below
         self._seen_s = seen.obs.time_s
-        before = self._memory.was_free(now), self._memory.was_low(now)
+        memory = self._memory
+        before = memory.was_free(now), memory.was_low(now), memory.rises(now, layers)
         things = things_in(layers, corner, *before)
-        self._memory.add(now, layers)
+        memory.add(now, layers)
         tops = None if seen.known is None else _known_tops(seen.known, layers, corner)
         for track in self._tracks.update(things, now, layers, corner):
             track.new += _is_new(track, tops, seen.known)

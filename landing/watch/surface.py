@@ -28,6 +28,9 @@ _TALL_SHARE = 0.6
 """of a cell's returns: through plants and dust more of them come from the ground"""
 _ASIDE_TALL_M, _ASIDE_SHARE = 0.35, 0.25
 """the same of what is seen from the side: pulses pass between legs and under an animal"""
+_STEEP, _UP_M = 3.0, 3.0
+"""distance as a multiple of the LIDAR's height, and that height, from which on plants that are seen
+along their tops seem to rise"""
 _FREE_M = 0.15
 _WIDEST_M = 2.2
 """width up to which something stands on the ground rather than being it"""
@@ -52,6 +55,8 @@ class Layers(NamedTuple):
     """something stands there"""
     newest: Mask
     """the last scan alone has a return from above the ground there"""
+    steep: Mask
+    """it is looked at from above rather than along the ground"""
     free: Mask
     """ground without anything on it"""
     returns: Float32
@@ -131,10 +136,10 @@ class Surface:
         before, self._before = self._before, _Scan(cells, heights, count, high)
         lowest = np.minimum(self._lows[0], self._lows[1])
         ground = ground_below(lowest)
-        aside = np.zeros(size, bool)
-        if self._around:
-            at = (np.arange(size[0]) + 0.5) * CELL_M + self.corner[:, None] - middle[:, None]
-            aside = np.hypot(at[0], at[1][:, None]) > mounted[-1].translation[2] - ground
+        at = (np.arange(size[0]) + 0.5) * CELL_M + self.corner[:, None] - middle[:, None]
+        away, up = np.hypot(at[0], at[1][:, None]), mounted[-1].translation[2] - ground
+        aside = (away > up) & self._around
+        steep = (away < _STEEP * up) & (up > _UP_M)
         newest = high > ground + TALL_M
         stands = _stands(self._before, ground, aside)
         if before is not None and self.shift == (0, 0):
@@ -145,7 +150,7 @@ class Surface:
             stands |= _stands(both, ground, aside)
             _, _, count, high = both
         free = (count > 0.0) & (high < ground + _FREE_M)
-        return Layers(stands, newest, free, count, lowest, ground, high)
+        return Layers(stands, newest, steep, free, count, lowest, ground, high)
 
     def _keep(self, low: Float32) -> None:
         """Adds the lowest returns of a scan. The ones before move with the ground as it is now: the

@@ -21,6 +21,9 @@ _APPEARED = 0.3
 """fraction of its cells"""
 _AGO_S, _LONGEST_S = 0.55, 2.0
 """age of scans that show what has stood somewhere before"""
+_RISE_M, _LEAST_M, _MOST_M = 0.15, 0.2, 1.0
+"""by how much more than before something may have walked there, and its height: of a dog few pulses
+are higher than plants"""
 _FREE_SCANS = 3
 """number of those that have to show free ground"""
 _KEPT = 20
@@ -58,6 +61,8 @@ class Thing(NamedTuple):
     """fraction of its cells where the ground was free half a second and more before"""
     came: float
     """the same where there was nothing as high: among plants no ground is free"""
+    sure: bool
+    """it stands there by itself, too, rather than only above what was there before"""
 
 
 class Memory:
@@ -116,6 +121,17 @@ class Memory:
         heights = [height for *_, height in self._old(time_s)]
         return _steadily([h < _MIN_NEW_M for h in heights], [h >= _MIN_NEW_M for h in heights])
 
+    def rises(self, time_s: float, layers: Layers) -> Mask:
+        """Where something that is no higher than a dog stands above all that was there before."""
+        old, height = [heights for *_, heights in self._old(time_s)], layers.high - layers.ground
+        if not old:
+            return np.zeros_like(layers.tall)
+        often = np.add.reduce([np.isfinite(one) for one in old], dtype=np.uint8) >= _FREE_SCANS
+        before = np.nan_to_num(np.fmax.reduce(old), nan=0.0)
+        higher = height > cv2.dilate(before, np.ones((3, 3), np.uint8)) + _RISE_M
+        low: Mask = (height > _LEAST_M) & (height < _MOST_M)
+        return layers.steep & often & higher & low
+
     def _old(self, time_s: float) -> list[tuple[float, Mask, Mask, Float32]]:
         return [one for one in self._scans if _AGO_S <= time_s - one[0] <= _LONGEST_S]
 
@@ -130,11 +146,12 @@ def _steadily(free: list[Mask], rises: list[Mask]) -> Mask | None:
 
 
 def things_in(
-    layers: Layers, corner: Array, was_free: Mask | None, was_low: Mask | None
+    layers: Layers, corner: Array, was_free: Mask | None, was_low: Mask | None, rises: Mask
 ) -> list[Thing]:
     """Returns what stands on the ground. ``corner`` (2,): of the grid, odom frame."""
-    count, labels = cv2.connectedComponents(layers.tall.astype(np.uint8), connectivity=8)
-    rows, cols = np.nonzero(layers.tall)
+    stands = layers.tall | rises
+    count, labels = cv2.connectedComponents(stands.astype(np.uint8), connectivity=8)
+    rows, cols = np.nonzero(stands)
     owner = labels[rows, cols]
     order = np.argsort(owner, kind="stable")
     rows, cols, owner = rows[order], cols[order], owner[order]
@@ -155,6 +172,7 @@ def things_in(
             top=float(layers.high[at].max()), tops=layers.high[at].astype(np.float64),
             height_m=height, appeared=0.0 if was_free is None else float(was_free[at].mean()),
             came=0.0 if was_low is None else float(was_low[at].mean()),
+            sure=bool(layers.tall[at].any()),
         ))  # fmt: skip
     return found
 
@@ -195,7 +213,7 @@ class Track:
 
     def _follow(self) -> None:
         high = self.thing.height_m >= _MIN_NEW_M
-        self.appeared += high and self.thing.appeared >= _APPEARED
+        self.appeared += high and self.thing.sure and self.thing.appeared >= _APPEARED
         self.lately.append(high and self.thing.came >= _APPEARED)
         self.path.append((self.seen_s, self.thing.middle))
         near = [(t, xy) for t, xy in self.path if self.seen_s - t <= _FIT_S]

@@ -176,12 +176,13 @@ def test_a_lidar_that_looks_around_sees_who_comes_from_aside(
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2])
-def test_two_scans_show_what_one_hardly_does(seed: int) -> None:
-    """A dog from 10 m up by half the pulses, three a scan of its upper part."""
+@pytest.mark.parametrize(("height_m", "returned"), [(2.9, 0.1), (10.0, 0.35)])
+def test_a_dog_is_seen_by_few_returns(height_m: float, returned: float, seed: int) -> None:
+    """Low down by those of two scans, from higher up as they are above all from before."""
     dog = Box(middle=(0.0, 6.5), size=(0.6, 0.25, 0.5), velocity=(0.0, -2.0))
     descent = Descent(
-        boxes=(dog,), seconds=2.0, touchdown_s=5.0, around=True, returned=0.5, seed=seed,
-        pose_at=lambda _: at(10.0),
+        boxes=(dog,), seconds=1.6, touchdown_s=5.0, around=True, returned=returned, seed=seed,
+        pose_at=lambda _: at(height_m),
     )  # fmt: skip
     assert first(watched(descent))[1].startswith("something that moves ")
 

@@ -10,7 +10,7 @@ from touchdown.sim.typing import Array
 SIZE, SCAN_S = 100, 0.1
 _NONE = np.zeros((SIZE, SIZE), bool)
 _UNKNOWN = np.full((SIZE, SIZE), np.nan, np.float32)
-UNSEEN = Layers(_NONE, _NONE, _NONE, _UNKNOWN, _UNKNOWN, _UNKNOWN, _UNKNOWN)
+UNSEEN = Layers(_NONE, _NONE, _NONE, _NONE, _UNKNOWN, _UNKNOWN, _UNKNOWN, _UNKNOWN)
 
 
 def velocity_of(path: Array, came: float = 0.0, known: int = 0, height_m: float = 1.6) -> Array:
@@ -19,7 +19,7 @@ def velocity_of(path: Array, came: float = 0.0, known: int = 0, height_m: float 
     for i, at in enumerate(path):
         cells = at + np.array([[0.0, 0.0], [0.2, 0.0], [0.4, 0.0]])
         new = came if i < len(path) - known else 0.0
-        thing = Thing(at, cells, 1.6, np.full(3, 1.6), height_m, appeared=0.0, came=new)
+        thing = Thing(at, cells, 1.6, np.full(3, 1.6), height_m, appeared=0.0, came=new, sure=True)
         (track,) = tracks.update([thing], i * SCAN_S, UNSEEN, np.zeros(2))
     return track.velocity
 
@@ -66,7 +66,7 @@ def test_scans_tell_that_nobody_is_as_high_as_he_would_be() -> None:
     high[70:90, 70:90] = -np.inf
     seen = np.isfinite(high).astype(np.float32)
     memory = Memory()
-    memory.add(0.0, Layers(_NONE, _NONE, _NONE, seen, ground, ground, high))
+    memory.add(0.0, Layers(_NONE, _NONE, _NONE, _NONE, seen, ground, ground, high))
     low = [memory.is_low(0.5, np.array([at, at])) for at in (30, 51, 56, 80, 2, 97)]
     assert low == [True, True, False, False, False, False]
     assert not memory.is_low(1.0, np.array([30, 30]))
@@ -85,7 +85,7 @@ def test_among_plants_nothing_is_free_but_all_of_it_is_low() -> None:
         seen = np.ones_like(ground)
         seen[60:, 60:] = float(scan < 2)
         free = (high < 0.15) & (seen > 0.0)
-        memory.add(0.1 * scan, Layers(_NONE, _NONE, free, seen, ground, ground, high))
+        memory.add(0.1 * scan, Layers(_NONE, _NONE, _NONE, free, seen, ground, ground, high))
     assert memory.was_low(0.5) is None and memory.was_free(0.5) is None
     was_free, was_low = memory.was_free(1.1), memory.was_low(1.1)
     assert was_free is not None and was_low is not None
@@ -108,11 +108,56 @@ def test_a_thing_is_as_high_as_it_stands_above_the_ground() -> None:
     corner = np.array([-7.0, 3.0])
     was_free, was_low = _NONE.copy(), _NONE.copy()
     was_free[40, 20] = was_low[40, 20:22] = True
-    layers = Layers(tall, tall, ~tall, returns, ground, ground, high)
-    (thing,) = things_in(layers, corner, was_free, was_low)
+    layers = Layers(tall, tall, _NONE, ~tall, returns, ground, ground, high)
+    (thing,) = things_in(layers, corner, was_free, was_low, _NONE)
     assert thing.height_m == pytest.approx(1.7) and thing.top == pytest.approx(6.7)
     assert thing.appeared == pytest.approx(1.0 / 3.0)
     assert thing.came == pytest.approx(2.0 / 3.0)
     np.testing.assert_allclose(thing.middle, corner + CELL_M * np.array([21.75, 40.5]))
     gone = layers._replace(newest=_NONE)  # only the scan before the last has seen it
-    assert not things_in(gone, corner, was_free, was_low)
+    assert not things_in(gone, corner, was_free, was_low, _NONE)
+
+
+@pytest.mark.parametrize(("sure", "counted"), [(True, 3), (False, 0)])
+def test_what_is_only_higher_than_before_has_not_appeared(sure: bool, counted: int) -> None:
+    """A bush that swings; only who goes on counts."""
+    tracks, at = Tracks(), np.array([10.0, 10.0])
+    for scan in range(3):
+        thing = Thing(at, at[None], 1.0, np.ones(1), 0.5, appeared=1.0, came=1.0, sure=sure)
+        (track,) = tracks.update([thing], scan * SCAN_S, UNSEEN, np.zeros(2))
+    assert track.appeared == counted
+
+
+def test_who_is_low_rises_above_all_that_was_there_before() -> None:
+    memory, ground = Memory(), np.zeros((SIZE, SIZE), np.float32)
+    steep, seen = ~_NONE, np.ones_like(ground)
+    steep[80, 80] = False
+    for scan in range(6):
+        high = np.full_like(ground, 0.06)
+        high[40, 20] = 0.4 if scan == 2 else 0.06
+        high[50, 50] = 0.06 if scan < 2 else -np.inf
+        seen[50, 50] = float(scan < 2)
+        memory.add(0.1 * scan, Layers(_NONE, _NONE, steep, _NONE, seen, ground, ground, high))
+
+    def rises(row: int, col: int, top_m: float, time_s: float = 1.1) -> bool:
+        high = np.full_like(ground, 0.06)
+        high[row, col] = top_m
+        layers = Layers(_NONE, _NONE, steep, _NONE, seen, ground, ground, high)
+        return bool(memory.rises(time_s, layers)[row, col])
+
+    assert [rises(30, 30, top) for top in (0.19, 0.22, 0.5, 0.99, 1.1)] == [0, 1, 1, 1, 0]
+    assert [rises(41, 21, top) for top in (0.5, 0.6)] == [False, True]  # beside the bush
+    assert not rises(50, 50, 0.5)  # seen too seldom
+    assert not rises(80, 80, 0.5)  # along the ground
+    assert not rises(30, 30, 0.5, time_s=0.5)  # too soon
+
+
+def test_what_rises_is_a_thing_that_is_not_sure() -> None:
+    rises, ground = _NONE.copy(), np.zeros((SIZE, SIZE), np.float32)
+    rises[40, 20:22] = True
+    returns, high = np.full_like(ground, 4.0), np.full_like(ground, 0.4)
+    layers = Layers(_NONE, rises, _NONE, _NONE, returns, ground, ground, high)
+    (thing,) = things_in(layers, np.zeros(2), None, None, rises)
+    assert not thing.sure and len(thing.cells) == 2
+    tall = layers._replace(tall=rises)
+    assert things_in(tall, np.zeros(2), None, None, _NONE)[0].sure
