@@ -82,9 +82,9 @@ class WatchInput:
 
 class Watch(Protocol):
     """Looks at the landing place while the vehicle descends to it. ``look`` is called in each
-    control step between 15 m and 0.15 m above the ground; it must be deterministic, must not modify
-    its input, and must take for a message only what has arrived. After a break of more than a
-    second it begins anew."""
+    control step from 15 m above the ground to the touchdown; it must be deterministic, must not
+    modify its input, and must take for a message only what has arrived. After a break of more than
+    a second it begins anew."""
 
     needs: SensorNeeds
 

@@ -11,8 +11,8 @@ from touchdown.landing.mission.state import MissionState
 from touchdown.sim.api import Observation
 from touchdown.sim.typing import Array
 
-HIGHEST_M, LOWEST_M = 15.0, 0.15
-"""heights of the legs above the ground between which the watch looks"""
+HIGHEST_M = 15.0
+"""height of the legs above the ground below which the watch looks"""
 _WATCHED = frozenset({Phase.APPROACH, Phase.DESCEND, Phase.RETURN})
 _KNOWN_M = 8.0
 """half the side of the map that is remembered around a site"""
@@ -52,8 +52,8 @@ class Lookout:
         height = float(estimate.odom_from_body.translation[2] - site[2])
         if before is not None and np.isfinite(before.height_m):
             height = before.height_m
-        legs = height - self._leg_height
-        if state.phase not in _WATCHED or not LOWEST_M < legs < HIGHEST_M:
+        legs = max(height - self._leg_height, 0.0)
+        if state.phase not in _WATCHED or legs >= HIGHEST_M:
             return None
         seen = WatchInput(
             obs=obs, estimate=estimate, map_view=map_view, site_odom=site,
@@ -65,7 +65,7 @@ class Lookout:
     def _left_s(self, legs_m: float) -> float:
         """Time until the touchdown, by the speeds that are set."""
         params, low = self._params, min(legs_m, self._params.commit_height_m)
-        slow = min(legs_m, _SLOW_M) / params.touchdown_speed_mps
+        slow = min(low, _SLOW_M) / params.touchdown_speed_mps
         return (legs_m - low) / params.descent_speed_mps + low / params.final_speed_mps + slow
 
     def _known(self, site: Array, decisions: int, grid: GridMap) -> GridMap | None:

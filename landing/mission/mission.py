@@ -44,7 +44,7 @@ _REPORTED_RATE = 0.9
 _LEARN_PERIOD_S = 0.1
 _GIVE_UP_S = 20.0
 """time for which something may be in the way before the site is given up"""
-_LIFT_ACCEL_MPS2 = 1.0
+_LIFT_ACCEL_MPS2 = 2.0
 _ASIDE_SHIFT_M = 0.5
 _LEVEL_M = 0.02
 """height above the place of the interruption from which the descent goes on"""

@@ -93,14 +93,23 @@ def test_the_descent_waits_and_goes_on_where_it_was(below_m: float) -> None:
     assert not [event for event in free.events if "site_not_clear" in event]
 
 
-def test_it_looks_from_15_m_to_the_last_decimetres_and_nothing_interrupts_below() -> None:
-    flown = Flown(lambda legs, _: Verdict.WAIT if legs < 0.15 else Verdict.GO)
+def test_it_looks_from_15_m_to_the_touchdown() -> None:
+    flown = Flown(lambda *_: Verdict.GO)
     heights = [legs for _, legs in flown.watch.asked]
-    assert 14.0 < max(heights) < 15.0 and 0.15 < min(heights) < 0.16
-    assert flown.view.phase is Phase.DONE and not any("not_clear" in e for e in flown.events)
+    assert 14.0 < max(heights) < 15.0 and min(heights) < 0.02
+    assert flown.watch.asked[-1][0] < flown.path[-1][0] - 1.4  # motors off
     seen = flown.watch.seen
     assert seen is not None and seen.known is not None
-    assert seen.touchdown_s == pytest.approx(0.15 / 0.6 + 0.15 / 0.09, abs=0.1)
+    assert seen.touchdown_s == pytest.approx(max(heights[-1], 0.0) * (1 / 0.6 + 1 / 0.09), abs=0.1)
+
+
+def test_it_climbs_from_the_last_decimetre() -> None:
+    """At 2 m/s² for 0.3 s, and as far again to come to rest."""
+    says = Between(0.1, 0.3, Verdict.CLIMB)
+    flown = Flown(says)
+    assert says.from_s is not None and flown.view.phase is Phase.DONE
+    climbed = [z - LEG_HEIGHT for t, z in flown.path if says.from_s < t < says.from_s + 1.0]
+    assert min(climbed) > 0.05 and max(climbed) > 0.2
 
 
 def test_it_climbs_to_look_and_comes_back() -> None:
