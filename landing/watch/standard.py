@@ -138,7 +138,7 @@ class StandardWatch:
         memory.add(now, layers)
         tops = None if seen.known is None else _known_tops(seen.known, layers, corner)
         for track in self._tracks.update(things, now, layers, corner):
-            track.new += _is_new(track, tops, seen.known)
+            track.new += track.thing.sure and _is_new(track, tops, seen.known)
         findings = [self._finding(track, seen, now) for track in self._tracks.tracks]
         if self._sightings is not None:
             findings += [_person(one, seen, below) for one in self._people(self._sightings, now)]
@@ -179,7 +179,7 @@ class StandardWatch:
                 kind = "moving"
             elif max(track.appeared, track.new) >= _SCANS:
                 kind = "new"
-            elif distance < _LEGS_M:
+            elif distance < _LEGS_M and thing.sure:
                 kind = "object"
         return Finding(
             kind=kind, position_odom=np.array([*at, thing.top]), velocity_odom=track.velocity,

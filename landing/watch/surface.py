@@ -53,6 +53,8 @@ class Layers(NamedTuple):
 
     tall: Mask
     """something stands there"""
+    alone: Mask
+    """the last scan alone shows it"""
     newest: Mask
     """the last scan alone has a return from above the ground there"""
     steep: Mask
@@ -61,6 +63,8 @@ class Layers(NamedTuple):
     """ground without anything on it"""
     returns: Float32
     """number of them"""
+    fresh: Float32
+    """the same of the last scan"""
     low: Float32
     """z of the lowest return of the last seconds; inf without one"""
     ground: Float32
@@ -141,16 +145,17 @@ class Surface:
         aside = (away > up) & self._around
         steep = (away < _STEEP * up) & (up > _UP_M)
         newest = high > ground + TALL_M
-        stands = _stands(self._before, ground, aside)
+        alone = _stands(self._before, ground, aside)
+        stands, fresh = alone, count
         if before is not None and self.shift == (0, 0):
             both = _Scan(
                 np.concatenate([before.cells, cells]), np.concatenate([before.heights, heights]),
                 before.returns + count, np.maximum(before.high, high),
             )  # fmt: skip
-            stands |= _stands(both, ground, aside)
+            stands = alone | _stands(both, ground, aside)
             _, _, count, high = both
         free = (count > 0.0) & (high < ground + _FREE_M)
-        return Layers(stands, newest, steep, free, count, lowest, ground, high)
+        return Layers(stands, alone, newest, steep, free, count, fresh, lowest, ground, high)
 
     def _keep(self, low: Float32) -> None:
         """Adds the lowest returns of a scan. The ones before move with the ground as it is now: the

@@ -43,6 +43,8 @@ _FREE_LATELY = 4
 """number of the last five scans by which it stands where the ground was free, as who walks does"""
 _RUNS_MPS, _RAN_M, _OFF_M = 2.0, 2.0, 0.08
 """speed and way of what is fast, and the same of it"""
+_GOES_SCANS, _WENT_M, _STRAIGHT = 7, 1.2, 0.1
+"""scans and way of what goes on straight, and the same as a fraction of its way"""
 
 
 class Thing(NamedTuple):
@@ -62,7 +64,7 @@ class Thing(NamedTuple):
     came: float
     """the same where there was nothing as high: among plants no ground is free"""
     sure: bool
-    """it stands there by itself, too, rather than only above what was there before"""
+    """one scan shows it, rather than two, or only as it is higher than what was there before"""
 
 
 class Memory:
@@ -172,7 +174,10 @@ def things_in(
             top=float(layers.high[at].max()), tops=layers.high[at].astype(np.float64),
             height_m=height, appeared=0.0 if was_free is None else float(was_free[at].mean()),
             came=0.0 if was_low is None else float(was_low[at].mean()),
-            sure=bool(layers.tall[at].any()),
+            sure=bool(
+                layers.alone[at].sum() >= _MIN_CELLS
+                and (layers.fresh * layers.alone)[at].sum() >= _MIN_RETURNS
+            ),
         ))  # fmt: skip
     return found
 
@@ -213,8 +218,9 @@ class Track:
 
     def _follow(self) -> None:
         high = self.thing.height_m >= _MIN_NEW_M
-        self.appeared += high and self.thing.sure and self.thing.appeared >= _APPEARED
-        self.lately.append(high and self.thing.came >= _APPEARED)
+        sure = high and self.thing.sure
+        self.appeared += sure and self.thing.appeared >= _APPEARED
+        self.lately.append(sure and self.thing.came >= _APPEARED)
         self.path.append((self.seen_s, self.thing.middle))
         near = [(t, xy) for t, xy in self.path if self.seen_s - t <= _FIT_S]
         times = np.array([t for t, _ in near]) - self.seen_s
@@ -235,7 +241,9 @@ class Track:
         # Far away too few pulses tell whether the ground was free before. Bushes that are taken for
         # one thing do not lie on a line in equal steps.
         runs = speed > _RUNS_MPS and way > _RAN_M
-        one = (moves and straight) or (runs and spread < _OFF_M)
+        # From low down nothing tells what was free; few bushes lie on a line for so many scans.
+        goes = len(near) >= _GOES_SCANS and way > _WENT_M and spread < _STRAIGHT * way
+        one = (moves and straight) or (runs and spread < _OFF_M) or goes
         self.velocity = slope if one else np.zeros(2)
 
 

@@ -10,16 +10,18 @@ from touchdown.sim.typing import Array
 SIZE, SCAN_S = 100, 0.1
 _NONE = np.zeros((SIZE, SIZE), bool)
 _UNKNOWN = np.full((SIZE, SIZE), np.nan, np.float32)
-UNSEEN = Layers(_NONE, _NONE, _NONE, _NONE, _UNKNOWN, _UNKNOWN, _UNKNOWN, _UNKNOWN)
+UNSEEN = Layers(*(_NONE,) * 5, *(_UNKNOWN,) * 5)
 
 
-def velocity_of(path: Array, came: float = 0.0, known: int = 0, height_m: float = 1.6) -> Array:
+def velocity_of(
+    path: Array, came: float = 0.0, known: int = 0, height_m: float = 1.6, sure: bool = True
+) -> Array:
     """``known``: number of the last scans in which it has not come."""
     tracks = Tracks()
     for i, at in enumerate(path):
         cells = at + np.array([[0.0, 0.0], [0.2, 0.0], [0.4, 0.0]])
         new = came if i < len(path) - known else 0.0
-        thing = Thing(at, cells, 1.6, np.full(3, 1.6), height_m, appeared=0.0, came=new, sure=True)
+        thing = Thing(at, cells, 1.6, np.full(3, 1.6), height_m, appeared=0.0, came=new, sure=sure)
         (track,) = tracks.update([thing], i * SCAN_S, UNSEEN, np.zeros(2))
     return track.velocity
 
@@ -28,7 +30,7 @@ def velocity_of(path: Array, came: float = 0.0, known: int = 0, height_m: float 
     ("mps", "off_m", "runs"), [(5.0, 0.0, True), (4.9, 0.2, False), (1.8, 0.0, False)]
 )
 def test_who_is_fast_moves_wherever_he_comes_from(mps: float, off_m: float, runs: bool) -> None:
-    path = np.column_stack([14.0 - mps * SCAN_S * np.arange(13), np.full(13, 10.0)])
+    path = np.column_stack([14.0 - mps * SCAN_S * np.arange(6), np.full(6, 10.0)])
     path[1::2, 1] += off_m
     np.testing.assert_allclose(velocity_of(path), [-mps, 0.0] if runs else [0.0, 0.0], atol=1e-6)
 
@@ -53,6 +55,11 @@ def test_who_walks_is_where_the_ground_was_free(known: int, moves: bool) -> None
     assert bool(velocity_of(path, came=1.0, known=known).any()) is moves
 
 
+def test_who_is_not_surely_there_has_not_come() -> None:
+    path = np.column_stack([14.0 - 1.2 * SCAN_S * np.arange(6), np.full(6, 10.0)])
+    assert [velocity_of(path, came=1.0, sure=s).any() for s in (True, False)] == [True, False]
+
+
 def test_what_is_as_low_as_plants_does_not_walk() -> None:
     path = np.column_stack([14.0 - 1.2 * SCAN_S * np.arange(6), np.full(6, 10.0)])
     assert [velocity_of(path, came=1.0, height_m=h).any() for h in (0.3, 0.4)] == [False, True]
@@ -66,7 +73,7 @@ def test_scans_tell_that_nobody_is_as_high_as_he_would_be() -> None:
     high[70:90, 70:90] = -np.inf
     seen = np.isfinite(high).astype(np.float32)
     memory = Memory()
-    memory.add(0.0, Layers(_NONE, _NONE, _NONE, _NONE, seen, ground, ground, high))
+    memory.add(0.0, Layers(*(_NONE,) * 5, seen, seen, ground, ground, high))
     low = [memory.is_low(0.5, np.array([at, at])) for at in (30, 51, 56, 80, 2, 97)]
     assert low == [True, True, False, False, False, False]
     assert not memory.is_low(1.0, np.array([30, 30]))
@@ -85,13 +92,25 @@ def test_among_plants_nothing_is_free_but_all_of_it_is_low() -> None:
         seen = np.ones_like(ground)
         seen[60:, 60:] = float(scan < 2)
         free = (high < 0.15) & (seen > 0.0)
-        memory.add(0.1 * scan, Layers(_NONE, _NONE, _NONE, free, seen, ground, ground, high))
+        memory.add(0.1 * scan, Layers(*(_NONE,) * 4, free, seen, seen, ground, ground, high))
     assert memory.was_low(0.5) is None and memory.was_free(0.5) is None
     was_free, was_low = memory.was_free(1.1), memory.was_low(1.1)
     assert was_free is not None and was_low is not None
     assert was_free[50, 60] and not was_free[50, 30] and was_low[50, 30]
     assert not was_low[39:42, 19:22].any() and was_low[40, 22]
     assert not was_low[70, 70] and not was_free[70, 70]  # seen too seldom
+
+
+@pytest.mark.parametrize(
+    ("scans", "mps", "off_m", "goes"),
+    [(8, 1.8, 0.1, True), (6, 1.9, 0.0, False), (8, 1.6, 0.0, False), (8, 1.8, 0.5, False)],
+)
+def test_who_goes_on_straight_moves_over_ground_that_nobody_saw(
+    scans: int, mps: float, off_m: float, goes: bool
+) -> None:
+    path = np.column_stack([14.0 - mps * SCAN_S * np.arange(scans), np.full(scans, 10.0)])
+    path[1::2, 1] += off_m
+    assert bool(velocity_of(path).any()) is goes
 
 
 def test_a_short_way_is_no_run() -> None:
@@ -108,7 +127,7 @@ def test_a_thing_is_as_high_as_it_stands_above_the_ground() -> None:
     corner = np.array([-7.0, 3.0])
     was_free, was_low = _NONE.copy(), _NONE.copy()
     was_free[40, 20] = was_low[40, 20:22] = True
-    layers = Layers(tall, tall, _NONE, ~tall, returns, ground, ground, high)
+    layers = Layers(tall, tall, tall, _NONE, ~tall, returns, returns, ground, ground, high)
     (thing,) = things_in(layers, corner, was_free, was_low, _NONE)
     assert thing.height_m == pytest.approx(1.7) and thing.top == pytest.approx(6.7)
     assert thing.appeared == pytest.approx(1.0 / 3.0)
@@ -137,12 +156,14 @@ def test_who_is_low_rises_above_all_that_was_there_before() -> None:
         high[40, 20] = 0.4 if scan == 2 else 0.06
         high[50, 50] = 0.06 if scan < 2 else -np.inf
         seen[50, 50] = float(scan < 2)
-        memory.add(0.1 * scan, Layers(_NONE, _NONE, steep, _NONE, seen, ground, ground, high))
+        memory.add(
+            0.1 * scan, Layers(_NONE, _NONE, _NONE, steep, _NONE, seen, seen, ground, ground, high)
+        )
 
     def rises(row: int, col: int, top_m: float, time_s: float = 1.1) -> bool:
         high = np.full_like(ground, 0.06)
         high[row, col] = top_m
-        layers = Layers(_NONE, _NONE, steep, _NONE, seen, ground, ground, high)
+        layers = Layers(_NONE, _NONE, _NONE, steep, _NONE, seen, seen, ground, ground, high)
         return bool(memory.rises(time_s, layers)[row, col])
 
     assert [rises(30, 30, top) for top in (0.19, 0.22, 0.5, 0.99, 1.1)] == [0, 1, 1, 1, 0]
@@ -156,8 +177,12 @@ def test_what_rises_is_a_thing_that_is_not_sure() -> None:
     rises, ground = _NONE.copy(), np.zeros((SIZE, SIZE), np.float32)
     rises[40, 20:22] = True
     returns, high = np.full_like(ground, 4.0), np.full_like(ground, 0.4)
-    layers = Layers(_NONE, rises, _NONE, _NONE, returns, ground, ground, high)
+    layers = Layers(_NONE, _NONE, rises, _NONE, _NONE, returns, returns, ground, ground, high)
     (thing,) = things_in(layers, np.zeros(2), None, None, rises)
     assert not thing.sure and len(thing.cells) == 2
     tall = layers._replace(tall=rises)
-    assert things_in(tall, np.zeros(2), None, None, _NONE)[0].sure
+    assert not things_in(tall, np.zeros(2), None, None, _NONE)[0].sure  # two scans show it
+    alone = tall._replace(alone=rises)
+    assert things_in(alone, np.zeros(2), None, None, _NONE)[0].sure
+    few = alone._replace(fresh=0.5 * returns)
+    assert not things_in(few, np.zeros(2), None, None, _NONE)[0].sure
