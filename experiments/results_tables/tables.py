@@ -91,7 +91,7 @@ def _failures(frame: pd.DataFrame) -> list[str]:
 
 
 def positioning(surveys: pd.DataFrame, landed: pd.DataFrame) -> list[str]:
-    """A line for each method and scene, and one for each method over all scenes."""
+    """A line for each method, over all scenes: of five flights over one no line would tell much."""
     frame = _positioned(surveys, landed)
     columns = [
         FLIGHTS,
@@ -108,9 +108,7 @@ def positioning(surveys: pd.DataFrame, landed: pd.DataFrame) -> list[str]:
         "flown path from the reference; both from lift-off to the end of the survey. The surveys "
         f"of `livo` are those of the landings. {_PAIRED} {_INTERVALS}"
     ]
-    return with_notes(
-        make_table(frame, "positioning", "", columns, ("estimator", "scene"), notes=notes)
-    )
+    return with_notes(make_table(frame, "positioning", "", columns, ("estimator",), notes=notes))
 
 
 def _positioned(surveys: pd.DataFrame, landed: pd.DataFrame) -> pd.DataFrame:
@@ -142,7 +140,7 @@ def _over(frame: pd.DataFrame, by: str, base: str) -> Column:
 
 
 def levelness(surveys: pd.DataFrame, landed: pd.DataFrame) -> list[str]:
-    """A line for each scene and kind of flight that made a map: Δα, mean and largest."""
+    """A line for each kind of flight that made a map: Δα, mean and largest."""
     kinds = [
         surveys[surveys["estimator"] == method].assign(flight=f"survey, `{method}`")
         for method in ("oracle", "zou2024")
@@ -157,11 +155,11 @@ def levelness(surveys: pd.DataFrame, landed: pd.DataFrame) -> list[str]:
         f"the bound {published.LEVELNESS_BOUND_DEG:g}° over all of them.",
     ]
     columns = [FLIGHTS, INDEPENDENT, *_LEVELNESS]
-    return with_notes(make_table(frame, "levelness", "", columns, ("scene", "flight"), notes=notes))
+    return with_notes(make_table(frame, "levelness", "", columns, ("flight",), notes=notes))
 
 
 def conditions(frame: pd.DataFrame) -> list[str]:
-    """A line for each condition and scene."""
+    """A line for each condition, over all scenes."""
     frame = _with_conditions(frame)
     columns = [
         FLIGHTS,
@@ -177,9 +175,7 @@ def conditions(frame: pd.DataFrame) -> list[str]:
         mean(_NEES),
     ]
     notes = [_INTERVALS, *_failures(frame)]
-    return with_notes(
-        make_table(frame, "conditions", "", columns, ("condition", "scene"), notes=notes)
-    )
+    return with_notes(make_table(frame, "conditions", "", columns, ("condition",), notes=notes))
 
 
 def _with_conditions(frame: pd.DataFrame) -> pd.DataFrame:

@@ -7,7 +7,7 @@ SEED = 8301
 
 
 def test_the_whole_system_lands_in_field() -> None:
-    """Bounds of 1.5 times the errors over crossroad in `docs/reproducing.md`, which images of a
+    """Bounds of 1.5 times the errors over crossroad of the edition that is kept, which images of a
     quarter of the pixels keep; without the LIDAR's pose it finds no site."""
     quick = ("camera.width=424", "camera.height=240", "landing.touchdown_speed_mps=0.3")
     asked = ("preset=short", "scene_seed=0", "sim.threads=1", "landing.selector=zou2024", *quick)
