@@ -5,19 +5,23 @@ Planted flights of four campaigns; `reports/` has what their reports say. After 
 the difference.
 """
 
+import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+import matplotlib
 import numpy as np
 import pytest
 
+from touchdown.experiments.reporting import published
 from touchdown.experiments.reporting.report import Report, as_json, make_report, markdown
 
 from support.marks import check, write
 
 FOLDER = Path(__file__).with_name("reports")
 NUMBERS = FOLDER / "numbers.json"
+CONSTRAINTS = Path(__file__).parents[3].joinpath("constraints.txt").read_text(encoding="utf-8")
 FIGURES = (
     "position_error_m.mean", "position_error_m.max", "position_error_m.x", "position_error_m.y",
     "position_error_m.z", "position_error_m.yaw_deg", "trajectory_error_m",
@@ -140,11 +144,27 @@ REPORTS: Mapping[str, Callable[[], Report]] = {
 }  # fmt: skip
 
 
+def drawn(report: Report) -> dict[str, list[float]]:
+    """The numbers of each picture: places, lengths and widths."""
+    pictures = [picture for section in report.sections for picture in section.pictures]
+    return {one.name: [float(n) for n in re.findall(r"-?\d+\.\d+", one.svg)] for one in pictures}
+
+
+def published_figures() -> dict[str, Any]:
+    return {name: value for name, value in vars(published).items() if name.isupper()}
+
+
+def test_the_papers_figures_stay() -> None:
+    check(NUMBERS, "published", published_figures(), {})
+
+
 @pytest.mark.parametrize("name", REPORTS)
 def test_a_report_says_what_it_said(name: str) -> None:
     report = REPORTS[name]()
     assert markdown(report) == (FOLDER / f"{name}.md").read_text(encoding="utf-8")
     check(NUMBERS, name, {"numbers": as_json(report, [])}, {})
+    if f"matplotlib=={matplotlib.__version__}\n" in CONSTRAINTS:  # another one draws otherwise
+        check(NUMBERS, f"{name}, drawn", drawn(report), {})
 
 
 if __name__ == "__main__":
@@ -152,4 +172,6 @@ if __name__ == "__main__":
     made = {each: make() for each, make in REPORTS.items()}
     for each, told in made.items():
         (FOLDER / f"{each}.md").write_text(markdown(told), encoding="utf-8")
-    write(NUMBERS, {each: {"numbers": as_json(told, [])} for each, told in made.items()})
+    parts = {each: {"numbers": as_json(told, [])} for each, told in made.items()}
+    pictures = {f"{each}, drawn": drawn(told) for each, told in made.items()}
+    write(NUMBERS, parts | pictures | {"published": published_figures()})
