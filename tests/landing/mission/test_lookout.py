@@ -27,12 +27,15 @@ class Told:
     def __init__(self, says: Says) -> None:
         self.says = says
         self.asked: list[tuple[float, float]] = []
+        self.left: list[float] = []
+        """time until the touchdown, as it was told"""
         self.seen: WatchInput | None = None
 
     def look(self, seen: WatchInput) -> WatchReport:
         self.seen = seen
         legs = float(seen.estimate.odom_from_body.translation[2] - seen.site_odom[2]) - LEG_HEIGHT
         self.asked.append((seen.obs.time_s, legs))
+        self.left.append(seen.touchdown_s)
         verdict = self.says(legs, seen.obs.time_s)
         reason = "" if verdict is Verdict.GO else "a dog"
         aside = seen.site_odom[:2] + [2.0, 0.0] if verdict is Verdict.MOVE else None
@@ -100,7 +103,10 @@ def test_it_looks_from_15_m_to_the_touchdown() -> None:
     assert flown.watch.asked[-1][0] < flown.path[-1][0] - 1.4  # motors off
     seen = flown.watch.seen
     assert seen is not None and seen.known is not None
-    assert seen.touchdown_s == pytest.approx(max(heights[-1], 0.0) * (1 / 0.6 + 1 / 0.09), abs=0.1)
+    sinks = 6.0 / PARAMS.descent_speed_mps + 4.0 / 0.6 + 0.2 / 0.09
+    for legs, left_s in ((10.0, sinks), (1.0, 1 / 0.6 + 0.2 / 0.09), (0.1, 0.1 / 0.6 + 0.1 / 0.09)):
+        at = int(np.argmin(np.abs(np.array(heights) - legs)))
+        assert flown.watch.left[at] == pytest.approx(left_s, abs=0.1)
 
 
 def test_it_climbs_from_the_last_decimetre() -> None:
