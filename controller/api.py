@@ -6,7 +6,7 @@ from typing import Annotated, ClassVar, Protocol
 from annotated_types import Interval
 
 from touchdown.estimator.api import Estimate
-from touchdown.sim.api import FORBID_EXTRA, Command, Count, NotNegative, Positive, VehicleModel
+from touchdown.sim.api import Command, Count, NotNegative, Positive, VehicleModel, parameters
 from touchdown.sim.typing import Array
 
 
@@ -42,11 +42,9 @@ LED_MOTOR_S = 0.04
 """time constant of the motors that ``motor_response_s`` is of"""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@parameters
 class ControlParams:
     """Closed-loop bandwidths, which ``controller/pid.py`` turns into PID gains."""
-
-    __pydantic_config__ = FORBID_EXTRA
 
     controller: str = "cascade"
     """what turns setpoints into rotor speeds: ``cascade``, or MODULE:FUNCTION of an external

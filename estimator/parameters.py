@@ -5,18 +5,16 @@ from typing import Annotated, ClassVar
 
 from annotated_types import Interval
 
-from touchdown.sim.api import FORBID_EXTRA, Count, CountOrZero, Fraction, NotNegative, Positive
+from touchdown.sim.api import Count, CountOrZero, Fraction, NotNegative, Positive, parameters
 
 HEIGHT_BIN_M = 0.02
 """width of a bin of `estimator.api.GridMap.histogram`"""
 HEIGHT_BINS = 32
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@parameters
 class MapperParams:
     """Bounded memory: the grids' extents and cells set it, not the flight's duration."""
-
-    __pydantic_config__ = FORBID_EXTRA
 
     mapper: str = "grid"
     """what makes the map: ``grid``, or MODULE:FUNCTION of an external mapper"""
@@ -44,12 +42,10 @@ class MapperParams:
     """a pulse without return counts as missing only where the ground is expected within these"""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@parameters
 class FlownImuParams:
     """Noise of the IMU on the flying vehicle, where above that of the data sheet: what `zou2024`
     and the baselines assume. ``livo`` has its own."""
-
-    __pydantic_config__ = FORBID_EXTRA
 
     gyro_density: NotNegative = 0.0
     """rad/s/sqrt(Hz) of the gyroscope"""
@@ -61,13 +57,11 @@ class FlownImuParams:
     """m/s^3/sqrt(Hz), likewise"""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@parameters
 class CalibrationPriors:
     """Errors of the given calibration that are estimated online, as the baselines assume them;
     ``livo`` and ``zou2024`` have their own. The lens is not among them: the scale of flow and of
     disparities is less exact, and a shift of the principal point looks as a rotation."""
-
-    __pydantic_config__ = FORBID_EXTRA
 
     use_calibration: bool = True
     """they are part of the filter's state"""
@@ -306,11 +300,9 @@ class Zou2024Params(CalibratedParams):
     """fastest rotation of the odometry frame when closures correct the past"""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@parameters
 class NavigationParams:
     """What the baselines with magnetometer and barometer have."""
-
-    __pydantic_config__ = FORBID_EXTRA
 
     heading_sigma_deg: Positive = 5.0
     """standard deviation of one reading of the magnetometer, ten a second"""
@@ -372,11 +364,9 @@ class HybridFlowParams(FlowParams):
     """m/sqrt(s): random walk of the odometry, from which the receiver's error is separated"""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@parameters
 class StereoParams:
     """Visual odometry on the stereo pair and the IMU (``estimator/baselines/stereo.py``)."""
-
-    __pydantic_config__ = FORBID_EXTRA
 
     camera_hz: Count = 10
     """image rate; a divisor of the camera's clock"""

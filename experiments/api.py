@@ -10,7 +10,7 @@ import numpy as np
 from annotated_types import Interval
 from numpy.typing import NDArray
 
-from touchdown.sim.api import FORBID_EXTRA, CameraIntrinsics, Count, NotNegative, Positive
+from touchdown.sim.api import CameraIntrinsics, Count, NotNegative, Positive, parameters
 from touchdown.sim.frames import Pose
 
 
@@ -30,11 +30,9 @@ class Outcome(StrEnum):
     """``fly``: the survey was flown to its end"""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@parameters
 class RefereeParams:
     """Limits at which the referee ends a flight."""
-
-    __pydantic_config__ = FORBID_EXTRA
 
     timeout_s: Positive = 300.0
     """simulated time after which the flight ends as TIMEOUT"""
@@ -44,12 +42,10 @@ class RefereeParams:
     """tilt on the ground from which on the vehicle counts as tipped over"""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@parameters
 class BiasParams:
     """An offset ramped into the estimate after take-off. In a closed loop it displaces the vehicle
     by minus the bias."""
-
-    __pydantic_config__ = FORBID_EXTRA
 
     xy_m: tuple[float, float] = (0.0, 0.0)
     """offset east and north"""
@@ -57,11 +53,9 @@ class BiasParams:
     """time over which the offset grows to its full size"""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@parameters
 class StartParams:
     """Knowledge of the take-off pose that estimators are given."""
-
-    __pydantic_config__ = FORBID_EXTRA
 
     attitude_known: bool = True
     """False: position and heading only; roll and pitch are for the estimator to find"""
@@ -69,13 +63,11 @@ class StartParams:
     """standard deviation of roll and pitch on the ground, for estimators that must find them"""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@parameters
 class CalibrationErrorParams:
     """Standard deviations of the errors of the nominal calibration, drawn from the seed. Those of
     camera_from_lidar and of the lens are unused in flights with a calibration file; the others
     remain."""
-
-    __pydantic_config__ = FORBID_EXTRA
 
     rotation_sigma_deg: NotNegative = 0.03
     """of camera_from_lidar, about each axis"""
@@ -104,11 +96,9 @@ class CalibrationErrorParams:
     """of the places of the satellite antenna and the rangefinder on the body, along each axis"""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@parameters
 class Px4Params:
     """PX4's SITL where ``control.controller`` is ``px4``."""
-
-    __pydantic_config__ = FORBID_EXTRA
 
     path: str | None = None
     """PX4's SITL: its build folder, or the program px4 in it; none: that of the environment

@@ -5,14 +5,12 @@ from typing import Annotated, ClassVar, Literal
 
 from annotated_types import Interval
 
-from touchdown.sim.api import FORBID_EXTRA, Count, CountOrZero, Fraction, NotNegative, Positive
+from touchdown.sim.api import Count, CountOrZero, Fraction, NotNegative, Positive, parameters
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@parameters
 class SurveyParams:
     """The circuitous scan of the paper's Fig. 9a: legs joined by minimum-jerk turns."""
-
-    __pydantic_config__ = FORBID_EXTRA
 
     height_m: Positive = 30.0
     """height above the take-off ground"""
@@ -75,12 +73,10 @@ GateName = Literal["geometry", "probability", "reach", "class"]
 range of the remaining energy (Eq. 18), ground classification."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@parameters
 class SelectorParams:
     """A selector: the terms that add up to the score of a site, and the gates that it must pass.
     What a list does not name is off. The defaults are those of ``landing.risk``."""
-
-    __pydantic_config__ = FORBID_EXTRA
 
     terms: tuple[TermName, ...] = (
         "probability", "distance", "clearance", "slope", "traffic", "plants", "ground",
@@ -131,11 +127,9 @@ class Zou2024SelectorParams(SelectorParams):
     """weight of distance, 0 to 1 (Eq. 18; section 4.1)"""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@parameters
 class GroundParams:
     """Limits of the geometric check and of what is taken for low plants."""
-
-    __pydantic_config__ = FORBID_EXTRA
 
     footprint_m: Positive = 1.0
     """radius around the touchdown point that must be free of defects: that of the vehicle, 0.53 m,
@@ -182,11 +176,9 @@ class GroundParams:
     """largest deviation of the ground's height under plants, a third of ``max_step_m``"""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@parameters
 class SemanticMapParams:
     """The semantic map of the ground, and how much each view of it counts."""
-
-    __pydantic_config__ = FORBID_EXTRA
 
     squares: CountOrZero = 2
     """number of squares of ground that are classified every tenth of a second of the flight; 0: no
@@ -209,10 +201,8 @@ class SemanticMapParams:
     """weight of a sharp view from the height of the recheck"""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@parameters
 class LandingParams:
-    __pydantic_config__ = FORBID_EXTRA
-
     lander: str = "site"
     """what flies the mission: ``site``, or MODULE:FUNCTION of an external lander"""
     watch: str = "standard"

@@ -9,7 +9,7 @@ import numpy as np
 from annotated_types import Interval
 from numpy.typing import NDArray
 
-from touchdown.sim.api import FORBID_EXTRA
+from touchdown.sim.api import parameters
 
 Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
@@ -145,11 +145,9 @@ RuggedPreset = Literal["upland", "alpine", "quarry", "lava", "gully", "felled_fo
 Cover = Literal["", "bare", "scree", "tussocks", "scrub", "snow", "logs"]
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@parameters
 class RuggedParams:
     """Dials of the scene ``rugged``; what is not set is the preset's (docs/scenes.md)."""
-
-    __pydantic_config__ = FORBID_EXTRA
 
     preset: RuggedPreset = "upland"
     """the kind of place: its look, the spectrum of its relief, and all dials that are not set"""
@@ -172,11 +170,9 @@ class RuggedParams:
     preset's"""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@parameters
 class DeckParams:
     """Dials of the scene ``deck``."""
-
-    __pydantic_config__ = FORBID_EXTRA
 
     kind: Literal["boat", "truck", "barge"] = "boat"
     """what carries the deck: a boat under way, a truck on a road, a barge at rest"""
@@ -282,11 +278,9 @@ class MovingBody:
     sensors do not see, moves along: contacts with a mocap body know no velocity"""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@parameters
 class TrafficParams:
     """People, animals and vehicles that move through any scene; by default there are none."""
-
-    __pydantic_config__ = FORBID_EXTRA
 
     people: Annotated[int, Interval(ge=0, le=50)] = 0
     """who walk, run, stand or sit"""

@@ -28,7 +28,6 @@ from touchdown.sim.navigation.types import NavParams as NavParams
 from touchdown.sim.navigation.types import NavSheet as NavSheet
 from touchdown.sim.navigation.types import RangefinderParams as RangefinderParams
 from touchdown.sim.navigation.types import RangefinderSample as RangefinderSample
-from touchdown.sim.params import FORBID_EXTRA as FORBID_EXTRA
 from touchdown.sim.params import CameraParams as CameraParams
 from touchdown.sim.params import Count as Count
 from touchdown.sim.params import CountOrZero as CountOrZero
@@ -44,17 +43,16 @@ from touchdown.sim.params import LidarSheet as LidarSheet
 from touchdown.sim.params import NotNegative as NotNegative
 from touchdown.sim.params import Positive as Positive
 from touchdown.sim.params import VehicleErrorParams as VehicleErrorParams
+from touchdown.sim.params import parameters as parameters
 from touchdown.sim.typing import Array, Bytes, Float32
 
 GRAVITY_MPS2 = 9.81
 AIR_DENSITY_KGPM3 = 1.225
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@parameters
 class SimParams:
     """Clock and delivery. All ``*_ticks`` divide or multiply one tick of 1 / ``tick_hz`` s."""
-
-    __pydantic_config__ = FORBID_EXTRA
 
     tick_hz: Count = 600
     """physics steps a second, 500 or more; every other rate divides it"""
@@ -86,11 +84,9 @@ class SimParams:
     Both give the same result to the bit."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@parameters
 class WindParams:
     """Mean wind with a logarithmic profile, and Dryden low-altitude turbulence (MIL-F-8785C)."""
-
-    __pydantic_config__ = FORBID_EXTRA
 
     mean_kmh: NotNegative = 12.0
     """Mean speed at 20 ft (6.1 m); also W20 of the Dryden model."""
@@ -109,11 +105,9 @@ class WindParams:
     falls with the power 5/3 of the frequency, not with its square"""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@parameters
 class DustParams:
     """Dust that the rotors' downwash raises from bare, loose ground."""
-
-    __pydantic_config__ = FORBID_EXTRA
 
     density: NotNegative = 0.0
     """dust in the air, over that of dry, bare soil; 0: none"""

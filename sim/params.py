@@ -6,12 +6,9 @@ The ranges are metadata of annotated-types. The dataclasses do not check them; p
 """
 
 from dataclasses import dataclass
-from typing import Annotated, Literal
+from typing import Annotated, Literal, TypeVar, dataclass_transform
 
 from annotated_types import Ge, Gt, Interval
-
-FORBID_EXTRA = {"extra": "forbid"}
-"""Read by pydantic: an unknown configuration key is an error, not a silent default."""
 
 Positive = Annotated[float, Gt(0)]
 NotNegative = Annotated[float, Ge(0)]
@@ -23,13 +20,21 @@ Heading = Annotated[float, Interval(ge=-360, le=360)]
 """degrees"""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+_Kind = TypeVar("_Kind")
+
+
+@dataclass_transform(frozen_default=True, kw_only_default=True)
+def parameters(kind: type[_Kind]) -> type[_Kind]:
+    """A frozen dataclass whose fields are configuration keys; pydantic refuses unknown ones."""
+    kind.__pydantic_config__ = {"extra": "forbid"}  # type: ignore[attr-defined]
+    return dataclass(frozen=True, kw_only=True, slots=True)(kind)
+
+
+@parameters
 class VehicleErrorParams:
     """Bounds of the true vehicle's deviations from the model that controller and estimators know;
     each is drawn once a flight, uniformly between minus and plus the bound. Errors of the
     telemetry."""
-
-    __pydantic_config__ = FORBID_EXTRA
 
     mass_fraction: Fraction = 0.0
     """of the mass, and of the moments of inertia with it; relative"""
@@ -49,11 +54,9 @@ class VehicleErrorParams:
     """step of the reported rotor speeds; 0: continuous"""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@parameters
 class CameraParams:
     """RealSense D435 colour camera."""
-
-    __pydantic_config__ = FORBID_EXTRA
 
     mount_deg: "Turn" = (0.0, 0.0, 0.0)
     """roll, pitch and yaw by which the cameras are turned from their mount on the vehicle; pitch
@@ -113,11 +116,9 @@ class CameraParams:
     """electrons a second in each pixel that shows a white surface under one lux"""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@parameters
 class LampParams:
     """A landing lamp beside the camera, along its axis."""
-
-    __pydantic_config__ = FORBID_EXTRA
 
     below_m: NotNegative = 0.0
     """the lamp is on while the ground below is nearer than this; 0: no lamp"""
@@ -127,12 +128,10 @@ class LampParams:
     """full angle between the directions of half the intensity"""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@parameters
 class ImuSheet:
     """What data sheet and calibration say of an IMU: noise densities, in-run bias walk, spread of
     the turn-on errors, ranges. Defaults: Bosch BMI088 (data sheet)."""
-
-    __pydantic_config__ = FORBID_EXTRA
 
     gyro_density: NotNegative = 2.44e-4
     """rad/s/sqrt(Hz)"""
@@ -190,12 +189,10 @@ Turn = tuple[float, float, float]
 """roll, pitch and yaw in degrees, about the body's forward, left and up axes in this order"""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@parameters
 class LidarSheet:
     """What a data sheet says of a scanning LIDAR. Defaults: Livox Horizon (manufacturer's data
     sheet)."""
-
-    __pydantic_config__ = FORBID_EXTRA
 
     preset: LidarPreset = "horizon"
     """pattern, point rate, range limits and beam"""

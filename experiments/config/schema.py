@@ -6,7 +6,6 @@ files, the profile, the preset, a TOML file (or the ``config.json`` of an earlie
 Every mistake is a ``UsageError`` with one line: what is wrong, where, what would be right.
 """
 
-from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
@@ -41,7 +40,6 @@ from touchdown.scenes.api import (
     short_name,
 )
 from touchdown.sim.api import (
-    FORBID_EXTRA,
     BarometerParams,
     CameraParams,
     CountOrZero,
@@ -58,15 +56,14 @@ from touchdown.sim.api import (
     SimParams,
     VehicleErrorParams,
     WindParams,
+    parameters,
 )
 from touchdown.sim.noise import world_seed
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@parameters
 class LogParams:
     """Content and rates of the files of a run directory."""
-
-    __pydantic_config__ = FORBID_EXTRA
 
     trajectory_hz: Positive = 50.0
     """rows a second in the .tum files"""

@@ -6,7 +6,6 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 import numpy as np
-from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from touchdown.experiments.recordings.contract import PoseTable, RawScan
@@ -88,39 +87,8 @@ def registered_path(scans: Iterable[RawScan], body_from_lidar: Pose) -> PoseTabl
     )
 
 
-_TWIST_REACHES_M = (4.0, 2.0, 1.0, 0.5, 0.3, 0.2)
-_TWIST_ITERATIONS = 5
-_ROBUST = 0.3
-"""fraction of the reach at which a residual weighs half"""
-
-
 def moved_by_twist(points: Array, times_s: Array, twist: Array) -> Array:
     """(N, 3) points of a sweep in the frame of its sensor at time 0, of points measured at
     ``times_s`` (N,) by a sensor with the constant ``twist`` (6,), rad/s and m/s."""
     turned = Rotation.from_rotvec(times_s[:, None] * twist[:3]).apply(points)
     return np.asarray(turned + times_s[:, None] * twist[3:])
-
-
-def twist_onto(points: Array, times_s: Array, target: Array) -> Array:
-    """The constant twist (6,), rad/s and m/s, that brings the points (N, 3) of a sweep, measured at
-    ``times_s`` (N,), onto the cloud ``target`` (M, 3): point-to-plane ICP over the sweep (Zhang and
-    Singh 2014 deskew by the same motion model; Dellenbach et al. 2022, "CT-ICP")."""
-    from open3d.geometry import KDTreeSearchParamKNN, PointCloud
-    from open3d.utility import Vector3dVector
-
-    cloud = PointCloud(Vector3dVector(np.asarray(target, np.float64)))
-    cloud.estimate_normals(KDTreeSearchParamKNN(12))
-    normals, tree, twist = np.asarray(cloud.normals), cKDTree(target), np.zeros(6)
-    for reach in np.repeat(_TWIST_REACHES_M, _TWIST_ITERATIONS):
-        placed = moved_by_twist(points, times_s, twist)
-        distances, nearest = tree.query(placed, distance_upper_bound=reach)
-        found = np.isfinite(distances)
-        near, normal, at = nearest[found], normals[nearest[found]], times_s[found, None]
-        residuals = np.einsum("ij,ij->i", placed[found] - target[near], normal)
-        arms = placed[found] - at * twist[3:]
-        rows = at * np.hstack([np.cross(arms, normal), normal])
-        weighted = rows / (1.0 + (residuals / (_ROBUST * reach)) ** 2)[:, None]
-        twist = twist - np.linalg.solve(
-            weighted.T @ rows + 1e-9 * np.eye(6), weighted.T @ residuals
-        )
-    return twist

@@ -7,7 +7,7 @@ from typing import Annotated
 
 from annotated_types import Interval
 
-from touchdown.sim.params import FORBID_EXTRA, Fraction, Heading, NotNegative
+from touchdown.sim.params import Fraction, Heading, NotNegative, parameters
 
 FAULT_KINDS: dict[str, tuple[str, ...]] = {
     "lidar_nan": ("scans",),
@@ -86,11 +86,9 @@ class Fault:
         return f"{self.kind}@{start}{until}" + (f"*{self.count}" if self.count else "")
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@parameters
 class FaultParams:
     """Faults injected between the sensors and their readers (``sim/faults/injector.py``)."""
-
-    __pydantic_config__ = FORBID_EXTRA
 
     events: tuple[str, ...] = ()
     """``KIND@START`` (to the end), ``KIND@START+DURATION`` in seconds of simulated time, or

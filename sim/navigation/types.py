@@ -7,7 +7,7 @@ import numpy as np
 from annotated_types import Interval
 from numpy.typing import NDArray
 
-from touchdown.sim.params import FORBID_EXTRA, Count, CountOrZero, NotNegative, Positive
+from touchdown.sim.params import Count, CountOrZero, NotNegative, Positive, parameters
 
 Array = NDArray[np.float64]
 
@@ -15,11 +15,9 @@ Array = NDArray[np.float64]
 GpsPreset = Literal["zou2024", "ublox-m8", "rtk", "denied"]
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@parameters
 class GpsSheet:
     """Mount and rate of a satellite receiver; each fix states its own standard deviations."""
-
-    __pydantic_config__ = FORBID_EXTRA
 
     period_ticks: Count = 120
     """ticks between two fixes (5 Hz)"""
@@ -47,12 +45,10 @@ class GpsParams(GpsSheet):
     """standard deviation of the velocity, each axis"""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@parameters
 class BarometerSheet:
     """What a data sheet says of a barometer, and the elevation of the site on a map. Defaults:
     Bosch BMP388 (data sheet): noise 1.2 Pa, absolute accuracy 50 Pa. 12 Pa are about 1 m."""
-
-    __pydantic_config__ = FORBID_EXTRA
 
     period_ticks: Count = 24
     """ticks between two readings (25 Hz)"""
@@ -76,13 +72,11 @@ class BarometerParams(BarometerSheet):
     """correlation time of the drift"""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@parameters
 class MagnetometerParams:
     """Three-axis magnetometer in the field of a location. Defaults: about the field of the
     international reference model at 40 degrees north, 116 degrees east, and the noise of a
     Honeywell HMC5883L (data sheet: 2 milligauss)."""
-
-    __pydantic_config__ = FORBID_EXTRA
 
     period_ticks: Count = 12
     """ticks between two readings (50 Hz)"""
@@ -100,12 +94,10 @@ class MagnetometerParams:
     """residual of the calibration, each axis, constant in one flight"""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@parameters
 class RangefinderParams:
     """A downward single-beam laser altimeter of the class of a LightWare LW20: 100 m on bright
     ground, resolution 1 cm."""
-
-    __pydantic_config__ = FORBID_EXTRA
 
     period_ticks: Count = 12
     """ticks between two readings (50 Hz)"""
@@ -123,11 +115,9 @@ class RangefinderParams:
     """origin of the beam, body frame; it points along body -z"""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@parameters
 class NavParams:
     """The sensors beside camera, LIDAR and IMU."""
-
-    __pydantic_config__ = FORBID_EXTRA
 
     gps: GpsParams = field(default_factory=GpsParams)
     barometer: BarometerParams = field(default_factory=BarometerParams)
