@@ -134,6 +134,10 @@ def max_step_m(params: LandingParams, *, margins: bool) -> float:
     return params.max_step_m - (params.step_margin_m if margins else 0.0)
 
 
+def _highest_peak_m(params: LandingParams) -> float:
+    return params.max_step_m + params.ground.peak_allowance_m
+
+
 def plane_refusal(plane: Footprint, params: LandingParams, *, margins: bool) -> Refusal | None:
     """Returns why the plane of a footprint is not landed on; None where it is."""
     if plane.slope_deg > max_slope_deg(params, margins=margins):
@@ -178,7 +182,7 @@ def assess(
             (Defect.ROUGH, raster.std > limits.rough_std_m),
             (Defect.STEEP, slope > max_slope_deg(params, margins=True)),
             (Defect.STEP, known & (step > max_step_m(params, margins=True))),
-            (Defect.OBSTACLE, peak > params.max_step_m + limits.peak_allowance_m),
+            (Defect.OBSTACLE, peak > _highest_peak_m(params)),
             (Defect.MOVING, moving_cells(raster, limits)),
             (Defect.WATER, water_cells(raster, params)),
         )
@@ -256,10 +260,11 @@ def explain(
     metres = float(nearest[r, c]) * raster.cell_m
     r, c = r + top, c + left
     found = Defect(int(landable.defect[r, c]))
+    steepest, step = max_slope_deg(params, margins=True), max_step_m(params, margins=True)
     figure = {
-        Defect.STEEP: f" ({landable.slope_deg[r, c]:.1f} deg, limit {params.max_slope_deg:.1f})",
-        Defect.STEP: f" ({landable.step_m[r, c]:.2f} m, limit {params.max_step_m:.2f})",
-        Defect.OBSTACLE: f" ({landable.peak_m[r, c]:.2f} m, limit {params.max_step_m:.2f})",
+        Defect.STEEP: f" ({landable.slope_deg[r, c]:.1f} deg, limit {steepest:.1f})",
+        Defect.STEP: f" ({landable.step_m[r, c]:.2f} m, limit {step:.2f})",
+        Defect.OBSTACLE: f" ({landable.peak_m[r, c]:.2f} m, limit {_highest_peak_m(params):.2f})",
         Defect.ROUGH: f" (standard deviation {raster.std[r, c]:.2f} m)",
         Defect.SPARSE: f" ({raster.count[r, c]:.0f})",
         Defect.WATER: f" ({raster.missing[r, c]:.0f} missing, {raster.count[r, c]:.0f} seen)",

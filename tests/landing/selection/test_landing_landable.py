@@ -102,3 +102,17 @@ def test_something_tall_beyond_the_footprint_is_told() -> None:
     grid.max_height_m[:, 48] = 1.0  # a wire fence 1.6 m from the middle cell's centre
     found = explain(*judged(grid), *MIDDLE, PARAMS, 0.35)
     assert found.rule == "tall_neighbour" and "m high within 1.9 m (limit 0.25 m)" in found.text
+
+
+@pytest.mark.parametrize(("slope_deg", "edge_m", "top_m", "told"), [
+    (6.0, 0.0, 0.0, "too steep (6.0 deg, limit 4.5)"),
+    (0.0, 0.09, 0.0, "a step (0.09 m, limit 0.08)"),
+    (0.0, 0.0, 0.2, "an object (0.20 m, limit 0.15)"),
+])  # fmt: skip
+def test_a_refusal_tells_the_limit_that_it_was_judged_by(
+    slope_deg: float, edge_m: float, top_m: float, told: str
+) -> None:
+    grid = make_grid(ground(slope_deg), sigma=0.0)
+    grid.height_m[:, 40:] += edge_m
+    grid.max_height_m[40, 40] += top_m
+    assert told in explain(*judged(grid), *MIDDLE, PARAMS, 0.35).text
