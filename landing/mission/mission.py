@@ -363,7 +363,7 @@ class Mission:
             if scaling.rate < _REPORTED_RATE and not reported:
                 reported = True
                 wind = self.view.felt_wind_mps
-                state.report(f"slowed by a wind of {wind:.1f} m/s")
+                state.report(f"slowed to keep a margin of thrust in a wind of {wind:.1f} m/s")
             if (blocked := self.ask(Moment.LEG)) is not None:
                 raise LegBlockedError(blocked)
         if reported and stop is None:
