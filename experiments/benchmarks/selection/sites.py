@@ -146,12 +146,14 @@ def summary(places: Sequence[dict[str, Any]]) -> dict[str, Any]:
 
     ``precision``: fraction of chosen sites that are safe; ``precision_sites``: of all accepted
     ones; ``precision_cells`` and ``recall_cells`` of the cells; ``found``: fraction of scenes with
-    safe ground where a site was accepted; ``regret_m``: mean loss of clearance relative to the
+    safe ground where a site was accepted; ``refused``: of those without where none was;
+    ``regret_m``: mean loss of clearance relative to the
     best safe site; ``ms``: mean processor time of a choice; ``calibration_error`` and
     ``reliability``: see `landing.classification.scores.calibration`, and the error over what is
     allowed alone; None for a selector that states no probability."""
     chosen = [place["chosen_safe"] for place in places if place["chosen_safe"] is not None]
     offered = [place for place in places if place["best_clearance_m"] > 0.0]
+    barren = [place for place in places if place["best_clearance_m"] == 0.0]
     cells = {
         key: sum(place["cells"][key] for place in places) for key in ("safe", "allowed", "both")
     }
@@ -172,6 +174,7 @@ def summary(places: Sequence[dict[str, Any]]) -> dict[str, Any]:
         "precision_cells": _fraction(cells["both"], cells["allowed"]),
         "recall_cells": _fraction(cells["both"], cells["safe"]),
         "found": _fraction(sum(place["accepted"] > 0 for place in offered), len(offered)),
+        "refused": _fraction(sum(place["accepted"] == 0 for place in barren), len(barren)),
         "regret_m": float(np.mean(regrets)) if regrets else None,
         "ms": 1e3 * float(np.mean([place["seconds"] for place in places])),
         "calibration_error": error,
@@ -415,14 +418,16 @@ def text(figures: dict[str, Any]) -> str:
     width = max(map(len, (*rows, "selector")))
     lines = [
         f"{'selector':{width}}  places  chosen safe  sites safe  cells safe  recall  found  "
-        "regret m    ms"
+        "refused  regret m    ms"
     ]
     for name, total in rows.items():
-        fractions = ("precision", "precision_sites", "precision_cells", "recall_cells", "found")
+        fractions = ("precision", "precision_sites", "precision_cells", "recall_cells", "found",
+                     "refused")  # fmt: skip
         cells = [_percent(total[key]) for key in fractions]
         lines.append(
             f"{name:{width}}  {total['places']:6}  {cells[0]:>11}  {cells[1]:>10}  {cells[2]:>10}"
-            f"  {cells[3]:>6}  {cells[4]:>5}  {total['regret_m'] or 0.0:8.2f}  {total['ms']:4.0f}"
+            f"  {cells[3]:>6}  {cells[4]:>5}  {cells[5]:>7}"
+            f"  {total['regret_m'] or 0.0:8.2f}  {total['ms']:4.0f}"
         )
     for name, total in rows.items():
         if total["calibration_error"] is not None:

@@ -181,6 +181,21 @@ def test_stated_probabilities_are_drawn_beside_the_truth(
     assert all(name in drawn for name in ("picks:build", "risk", "stated probability"))
 
 
+def test_no_site_is_right_where_no_ground_is_safe() -> None:
+    cells = {"safe": 0, "allowed": 5, "both": 0}
+    places = [
+        {"chosen_safe": False if accepted else None, "accepted": accepted, "accepted_safe": 0,
+         "cells": cells, "clearance_m": 0.0, "best_clearance_m": best, "seconds": 0.0,
+         "sample": None}
+        for accepted, best in ((0, 0.0), (0, 0.0), (2, 0.0), (0, 0.0), (0, 1.0), (1, 2.0))
+    ]  # fmt: skip
+    total = sites.summary(places)
+    assert (total["refused"], total["found"], total["regret_m"]) == (0.75, 0.5, 1.5)
+    figures = {"selector": "risk", "summary": total}
+    head, row = sites.text(figures).splitlines()[:2]
+    assert row[: head.index("  regret m")].endswith("75.0%")
+
+
 def test_sites_beyond_the_judged_ground_do_not_count(kept: KeptMap) -> None:
     small = dataclasses.replace(kept.truth, safe=kept.truth.safe[:50, :50])
     config = sites.config_of("field", "risk", (), "crossroad", 4)
