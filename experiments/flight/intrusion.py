@@ -10,7 +10,7 @@ import numpy as np
 
 from touchdown.experiments.io.result_parts import WATCH_RULE, Intrusion
 from touchdown.experiments.recording.recorder import StepRecord
-from touchdown.landing.api import Phase
+from touchdown.landing.api import Phase, Verdict
 from touchdown.sim.api import GRAVITY_MPS2, LidarScan, SensorRig, VehicleModel
 from touchdown.sim.frames import Pose, PoseHistory
 from touchdown.sim.geometry.lens import bearing, project
@@ -43,7 +43,11 @@ class IntrusionObserver:
 
     def tick(self, step: StepRecord) -> None:
         """Takes one control step."""
-        truth = step.truth
+        truth, watch = step.truth, step.lander_view.watch
+        if any(f" {WATCH_RULE}: " in text for text in step.lander_view.events):
+            self._answered_s = truth.time_s if self._answered_s is None else self._answered_s
+        elif self._seen is None and (watch is None or watch.verdict is Verdict.GO):
+            self._answered_s = None  # that interruption has ended before he came
         if not len(truth.intruders_world):
             return
         self._sent = True
@@ -57,9 +61,6 @@ class IntrusionObserver:
             near = watched and np.hypot(away[0], away[1]) < NEAR_M
             if near and (self._in_image(body, foot) or any(map(self._in_scan, step.obs.scans))):
                 self._seen = truth.time_s, height, max(-float(truth.velocity_world[2]), 0.0)
-        told = any(f" {WATCH_RULE}: " in text for text in step.lander_view.events)
-        if told and self._answered_s is None:
-            self._answered_s = truth.time_s
 
     def summary(self) -> Intrusion | None:
         """The figures; None where nobody was sent."""

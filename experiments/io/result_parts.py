@@ -145,9 +145,9 @@ class Intrusion(Part):
     avoidable: bool | None = None
     """whether it could have stopped above 2 m then, 0.3 s later; false for who was never in view"""
     answered_s: Figure = None
-    """when the watch first interrupted the descent after he was sent; None: never"""
+    """begin of the interruption that he was first seen in, else of the next; None: never"""
     reaction_s: Figure = None
-    """from the first to the second; 0 where he was expected before"""
+    """from the first to the second; 0 where the descent was interrupted already"""
 
 
 class LevelnessError(Part):

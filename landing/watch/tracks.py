@@ -43,7 +43,7 @@ _FREE_LATELY = 4
 """number of the last five scans by which it stands where the ground was free, as who walks does"""
 _RUNS_MPS, _RAN_M, _OFF_M = 2.0, 2.0, 0.08
 """speed and way of what is fast, and the same of it"""
-_GOES_SCANS, _WENT_M, _STRAIGHT = 7, 1.2, 0.1
+_GOES_SCANS, _WENT_M, _STRAIGHT = 8, 1.2, 0.1
 """scans and way of what goes on straight, and the same as a fraction of its way"""
 
 
@@ -199,6 +199,8 @@ class Track:
     """number of scans in which the map did not have it"""
     velocity: Array = field(default_factory=lambda: np.zeros(2))
     """(2,) m/s; 0 where it is not known to move"""
+    drift: Array = field(default_factory=lambda: np.zeros(2))
+    """(2,) m/s, by which it is looked for in the next scan: of who walks before that is sure"""
     path: deque[tuple[float, Array]] = field(default_factory=lambda: deque(maxlen=_KEPT))
 
     def at(self, time_s: float) -> Array:
@@ -245,6 +247,7 @@ class Track:
         goes = len(near) >= _GOES_SCANS and way > _WENT_M and spread < _STRAIGHT * way
         one = (moves and straight) or (runs and spread < _OFF_M) or goes
         self.velocity = slope if one else np.zeros(2)
+        self.drift = slope if one or straight else np.zeros(2)
 
 
 class Tracks:
@@ -265,7 +268,7 @@ class Tracks:
         left, shown = list(self.tracks), []
         for thing in sorted(things, key=lambda thing: -len(thing.cells)):
             track = min(left, key=lambda one: _apart(one, thing, time_s), default=None)
-            if track is None or _apart(track, thing, time_s) > 0.0:
+            if track is None or _apart(track, thing, time_s) == np.inf:
                 track = Track(thing, time_s, seen=0)
                 self.tracks.append(track)
             else:
@@ -291,7 +294,8 @@ def _gone(track: Track, time_s: float, layers: Layers, corner: Array) -> bool:
 
 
 def _apart(track: Track, thing: Thing, time_s: float) -> float:
-    """Distance of a thing beyond the reach of a track, m; below 0 where it may be the same."""
+    """Distance of a thing to where a track is expected, m; infinite beyond its reach."""
     since = time_s - track.seen_s
     reach = _GATE_M + (0.5 if track.moves or track.seen > 3 else _FASTEST_MPS) * since
-    return float(np.linalg.norm(thing.middle - track.at(time_s))) - reach
+    apart = float(np.linalg.norm(thing.middle - track.thing.middle - since * track.drift))
+    return apart if apart <= reach else np.inf

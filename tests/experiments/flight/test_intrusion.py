@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from touchdown.experiments.flight.intrusion import IntrusionObserver
-from touchdown.landing.api import Phase
+from touchdown.landing.api import Phase, Verdict
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.frames import Pose
 
@@ -39,6 +39,7 @@ def step(
     scans: Any = (),
     phase: Phase = Phase.DESCEND,
     above: tuple[float, float] = (0.0, 0.0),
+    verdict: Verdict = Verdict.GO,
 ) -> Any:
     truth = SimpleNamespace(
         time_s=time_s, world_from_body=Pose(np.eye(3), np.array([*above, height])),
@@ -46,9 +47,9 @@ def step(
         intruders_world=np.array([foot], float) if foot else np.zeros((0, 3)),
     )  # fmt: skip
     obs = SimpleNamespace(scans=scans)
-    return SimpleNamespace(
-        truth=truth, obs=obs, lander_view=SimpleNamespace(events=events, phase=phase)
-    )
+    watch = SimpleNamespace(verdict=verdict)
+    view = SimpleNamespace(events=events, phase=phase, watch=watch)
+    return SimpleNamespace(truth=truth, obs=obs, lander_view=view)
 
 
 def test_the_time_from_first_sight_to_the_answer() -> None:
@@ -69,12 +70,26 @@ def test_the_time_from_first_sight_to_the_answer() -> None:
 
 def test_an_answer_before_the_sight_takes_no_time_and_none_is_none() -> None:
     observer = IntrusionObserver(RIG)
-    observer.tick(step(1.0, 3.3, (9, 0, 0), "DESCEND site_not_clear: expected"))
-    observer.tick(step(2.0, 3.3, (0, 1, 0)))
-    assert observer.summary().reaction_s == 0.0  # type: ignore[union-attr]
+    expected = "DESCEND site_not_clear: expected"
+    observer.tick(step(1.0, 3.3, None, expected, verdict=Verdict.WAIT))
+    observer.tick(step(1.5, 3.3, (9, 0, 0), verdict=Verdict.WAIT))
+    observer.tick(step(2.0, 3.3, (0, 1, 0), verdict=Verdict.WAIT))
+    observer.tick(step(3.0, 3.3, (0, 1, 0)))
+    found = observer.summary()
+    assert found is not None and (found.answered_s, found.reaction_s) == (1.0, 0.0)
     unseen = IntrusionObserver(RIG)
     unseen.tick(step(1.0, 3.3, (9, 0, 0)))
     assert unseen.summary().in_view_s is None  # type: ignore[union-attr]
+
+
+def test_an_interruption_that_ended_before_the_sight_is_no_answer() -> None:
+    observer = IntrusionObserver(RIG)
+    observer.tick(step(1.0, 3.3, (9, 0, 0), "DESCEND site_not_clear: a bush"))
+    observer.tick(step(1.5, 3.3, (9, 0, 0)))
+    observer.tick(step(2.0, 3.3, (0, 1, 0)))
+    observer.tick(step(3.5, 3.3, (0, 1, 0), "DESCEND site_not_clear: something moves"))
+    found = observer.summary()
+    assert found is not None and (found.answered_s, found.reaction_s) == (3.5, 1.5)
 
 
 @pytest.mark.parametrize(

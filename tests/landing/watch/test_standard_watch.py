@@ -181,7 +181,7 @@ def test_a_dog_is_seen_by_few_returns(height_m: float, returned: float, seed: in
     """Low down by those of two scans, from higher up as they are above all from before."""
     dog = Box(middle=(0.0, 6.5), size=(0.6, 0.25, 0.5), velocity=(0.0, -2.0))
     descent = Descent(
-        boxes=(dog,), seconds=1.8, touchdown_s=5.0, around=True, returned=returned, seed=seed,
+        boxes=(dog,), seconds=2.0, touchdown_s=5.0, around=True, returned=returned, seed=seed,
         pose_at=lambda _: at(height_m),
     )  # fmt: skip
     assert first(watched(descent))[1].startswith("something that moves ")

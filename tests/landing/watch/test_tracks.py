@@ -113,6 +113,31 @@ def test_who_goes_on_straight_moves_over_ground_that_nobody_saw(
     assert bool(velocity_of(path).any()) is goes
 
 
+def follow(tracks: Tracks, seen: dict[int, list[tuple[float, float]]]) -> None:
+    """Shows things at places (m) in scans, by the number of each."""
+    for scan, places in seen.items():
+        things = [
+            Thing(np.array(at), np.array(at) + np.array([[0.0, 0.0], [0.2, 0.0]]), 0.5,
+                  np.full(2, 0.5), 0.5, appeared=0.0, came=0.0, sure=True)
+            for at in places
+        ]  # fmt: skip
+        tracks.update(things, scan * SCAN_S, UNSEEN, np.zeros(2))
+
+
+def test_who_walks_is_found_again_after_a_scan_without_him() -> None:
+    tracks, scans = Tracks(), [n for n in range(11) if n not in (6, 7, 9)]
+    follow(tracks, {n: [(15.0 - 2.6 * SCAN_S * n, 10.0)] for n in scans})
+    (track,) = tracks.tracks
+    assert track.seen == len(scans) and track.moves
+
+
+def test_a_thing_belongs_to_the_track_that_expects_it_nearest() -> None:
+    tracks = Tracks()
+    follow(tracks, {n: [(10.0, 10.0)] for n in range(5)})
+    follow(tracks, {5: [(10.0, 10.0), (11.0, 10.0)], 6: [(10.3, 10.0)]})
+    assert sorted(track.seen for track in tracks.tracks) == [1, 7]
+
+
 def test_a_short_way_is_no_run() -> None:
     path = np.column_stack([np.linspace(14.0, 12.1, 6), np.full(6, 10.0)])
     assert not velocity_of(path).any()
