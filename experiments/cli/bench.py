@@ -9,10 +9,9 @@ from typing import Any
 import click
 
 from touchdown.experiments.cli.common import (
-    EXIT_DONE,
-    EXIT_FAILED,
     JOB_COUNT,
     JSON,
+    ONE_JOB,
     OVERRIDES,
     PATH,
     PROFILE,
@@ -30,7 +29,6 @@ from touchdown.experiments.terminal import end_progress, make_progress, say
 _SCENE = click.option("--scene", default="crossroad", show_default=True)
 _ESTIMATOR = click.option("--estimator", default="livo", show_default=True)
 _FULL = click.option("--full", is_flag=True, help="The whole survey instead of a short one.")
-_ONE_JOB = click.option("--jobs", type=JOB_COUNT, default=1, show_default=True)
 
 
 def _rounds(default: int) -> Any:
@@ -44,12 +42,11 @@ def _seeds(default: str) -> Any:
 
 
 @click.group(cls=CommandGroup, modules={"tune": "tune:bench_tune"})
-def bench() -> int:
+def bench() -> None:
     """Measure speed.
 
     Example: touchdown bench loop
     """
-    return EXIT_DONE
 
 
 @bench.command("loop")
@@ -71,8 +68,10 @@ def bench_loop(as_json: bool, quiet: bool, **chosen: Any) -> int:
     progress = make_progress(quiet)
     found = measure_loop(config, lambda cfg, out: fly_with_usage_errors(cfg, out, progress))
     end_progress(quiet)
-    answer(found["figures"], as_json, lambda _figures: print_stages(found["result"]))
-    return EXIT_DONE if found["result"].is_success else EXIT_FAILED
+    result = found["result"]
+    return answer(
+        found["figures"], as_json, lambda _figures: print_stages(result), good=result.is_success
+    )
 
 
 def _print_lidar(figures: dict[str, Any]) -> None:
@@ -140,7 +139,7 @@ def bench_landing(**options: Any) -> dict[str, Any]:
 @click.option("--selector", "selectors", multiple=True, metavar="NAME",
               help="risk, zou2024, or MODULE:FUNCTION, which both are compared with. May be "
               "repeated.  [risk]")  # fmt: skip
-@_ONE_JOB
+@ONE_JOB
 @click.option("--fit", "fit_model", is_flag=True, help="Fit landing.risk_weights to these maps.")
 @click.option("--pictures", type=PATH, metavar="DIR",
               help="Draw the steps to each site (Fig. 11 of the paper) into DIR.")  # fmt: skip
@@ -327,7 +326,7 @@ def _range(name: str, low: float, high: float, what: str) -> Any:
 @click.option("--contacts", type=click.IntRange(1, 100_000), default=100, show_default=True,
               help="Of each level of each ground: 43 levels.")  # fmt: skip
 @SEED
-@_ONE_JOB
+@ONE_JOB
 @click.option("--bound", type=Number(min=0.0, max=1.0), default=0.05, show_default=True,
               help="Probability to tip, strike or slide that is allowed.")  # fmt: skip
 @_range("--friction", 0.3, 0.9, "Sliding friction of the feet")
@@ -378,7 +377,7 @@ def _print_hazards(figures: dict[str, Any]) -> None:
 @_seeds("0-3")
 @click.option("--places", type=click.IntRange(1, 100), default=6, show_default=True,
               help="Looked at in each scene, below the way of the survey.")  # fmt: skip
-@_ONE_JOB
+@ONE_JOB
 @click.option("--out", type=PATH, metavar="DIR", help="Draw the curves, hazards.svg, there.")
 @OVERRIDES
 @answered(_print_hazards)

@@ -10,8 +10,6 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from touchdown.experiments.cli.common import (
-    EXIT_DONE,
-    EXIT_FAILED,
     JOBS,
     JSON,
     OVERRIDES,
@@ -70,12 +68,11 @@ def _is_flight(args: list[str]) -> bool:
 
 
 @click.group(cls=CampaignGroup)
-def campaign() -> int:
+def campaign() -> None:
     """Fly scenes x estimators x seeds x winds.
 
     Example: touchdown campaign configs/positioning.toml --out runs/positioning
     """
-    return EXIT_DONE
 
 
 @click.command("campaign")
@@ -141,15 +138,16 @@ def fly_file(
             figures = fly_to_address(plan, out, flown_by, shard=shard, watcher=watcher)
         else:
             figures = fly_campaign(plan, out, flown_by, shard=shard, watcher=watcher)
-    answer(figures, as_json, print_summary)
-    if missing := figures["missing"]:
+    missing = figures["missing"]
+    good = figures["as_expected"] and not (missing or figures["crashed"])
+    code = answer(figures, as_json, print_summary, good=good)
+    if missing:
         say(
             f"touchdown: {len(missing)} runs have no row, such as {missing[0]}; give the same "
             "command again to fly them",
             err=True,
         )
-    failed = figures["crashed"] or missing or not figures["as_expected"]
-    return EXIT_FAILED if failed else EXIT_DONE
+    return code
 
 
 @campaign.command("status")
@@ -165,8 +163,7 @@ def status(directory: Path, as_json: bool) -> int:
     from touchdown.experiments.campaign.session import summary
 
     figures = summary(directory)
-    answer(figures, as_json, print_summary)
-    return EXIT_DONE if figures["as_expected"] else EXIT_FAILED
+    return answer(figures, as_json, print_summary, good=figures["as_expected"])
 
 
 @click.command()
@@ -185,9 +182,8 @@ def merge(out: Path, parts: tuple[Path, ...], as_json: bool) -> int:
     from touchdown.experiments.campaign.progress import print_summary
 
     figures = usage_errors(lambda: merge_parts(out, parts))
-    answer(figures, as_json, print_summary)
     whole = not figures["remaining"] and not figures["crashed"]
-    return EXIT_DONE if whole and figures["as_expected"] else EXIT_FAILED
+    return answer(figures, as_json, print_summary, good=whole and figures["as_expected"])
 
 
 @click.command()
@@ -242,8 +238,8 @@ def results(
         if write and not incomplete
         else []
     )
-    answer({"sets": summaries, "written": files}, as_json, _print_sets)
-    return EXIT_FAILED if any(f["crashed"] or f["missing"] for f in summaries) else EXIT_DONE
+    good = not any(found["crashed"] or found["missing"] for found in summaries)
+    return answer({"sets": summaries, "written": files}, as_json, _print_sets, good=good)
 
 
 def _print_sets(figures: Mapping[str, Any]) -> None:
@@ -322,8 +318,7 @@ def reproduce(
         done = run.reproduce(
             out, notes=make_notes(quiet), watcher=Watcher if quiet else Display, **chosen
         )
-    answer(done.as_json(), as_json, _print_parts)
-    return EXIT_DONE if done.successful else EXIT_FAILED
+    return answer(done.as_json(), as_json, _print_parts, good=done.successful)
 
 
 def _overview(parts: Sequence[Part], quick: bool) -> list[dict[str, Any]]:

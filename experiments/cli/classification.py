@@ -9,7 +9,6 @@ from typing import Any
 import click
 
 from touchdown.experiments.cli.common import (
-    EXIT_DONE,
     OVERRIDES,
     PATH,
     QUIET,
@@ -77,12 +76,11 @@ def _threads(default: int | None, shown: str = "") -> Callable[[Any], Any]:
 
 
 @click.group(cls=CommandGroup)
-def dataset() -> int:
+def dataset() -> None:
     """Labelled images of ground for training.
 
     Example: touchdown dataset render --out patches --images 4000
     """
-    return EXIT_DONE
 
 
 def _print_dataset(done: Mapping[str, Any]) -> None:

@@ -2,9 +2,9 @@
 
 import contextlib
 import functools
-import importlib
 import json
 import math
+import pkgutil
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
@@ -93,6 +93,7 @@ CONFIG = click.option("--config", "config_file", type=PATH,
                       help="A TOML file, or the config.json of an earlier run.")  # fmt: skip
 SEED = click.option("--seed", type=SEEDS, default=0, show_default=True)
 JOBS = click.option("--jobs", type=JOB_COUNT, help="Flights at a time.  [cores]")
+ONE_JOB = click.option("--jobs", type=JOB_COUNT, default=1, show_default=True)
 PRESET = click.option(
     "--preset", type=click.Choice(["whole", "short", "park"]),
     help="How much is flown: short is one leg of 12 m at 15 m.  [whole]",
@@ -108,13 +109,16 @@ def many(*options: Callable[[T], T]) -> Callable[[T], T]:
     return add
 
 
-def answer(figures: Any, as_json: bool, show: Callable[[Any], object]) -> int:
-    """Prints ``figures`` as one JSON object, or calls ``show`` with them. Returns EXIT_DONE."""
+def answer(
+    figures: Any, as_json: bool, show: Callable[[Any], object], *, good: object = True
+) -> int:
+    """Prints ``figures`` as one JSON object, or calls ``show`` with them. Returns the exit code:
+    EXIT_FAILED for what is not ``good``."""
     if as_json:
         click.echo(json.dumps(figures, indent=2))
     else:
         show(figures)
-    return EXIT_DONE
+    return EXIT_DONE if good else EXIT_FAILED
 
 
 def answered(show: Callable[[Any], object]) -> Callable[[Callable[..., Any]], Callable[..., int]]:
@@ -182,9 +186,8 @@ class CommandGroup(click.Group):
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         if cmd_name in self._modules and cmd_name not in self.commands:
-            module, _, attribute = self._modules[cmd_name].partition(":")
-            found = importlib.import_module(f"touchdown.experiments.cli.{module}")
-            self.add_command(getattr(found, attribute), cmd_name)
+            place = f"touchdown.experiments.cli.{self._modules[cmd_name]}"
+            self.add_command(pkgutil.resolve_name(place), cmd_name)
         return super().get_command(ctx, cmd_name)
 
     def resolve_command(

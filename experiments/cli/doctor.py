@@ -4,7 +4,7 @@ from typing import Any
 
 import click
 
-from touchdown.experiments.cli.common import EXIT_DONE, EXIT_FAILED, JSON, QUIET, answer
+from touchdown.experiments.cli.common import JSON, QUIET, answer
 from touchdown.experiments.errors import visible
 from touchdown.experiments.terminal import end_progress, make_progress, say
 
@@ -26,8 +26,7 @@ def doctor(as_json: bool, quiet: bool) -> int:
     progress = make_progress(quiet)
     found = examine(lambda config, out: fly_with_usage_errors(config, out, progress))
     end_progress(quiet)
-    answer(found, as_json, _print)
-    return EXIT_DONE if found["ready"] else EXIT_FAILED
+    return answer(found, as_json, _print, good=found["ready"])
 
 
 def _print(found: dict[str, Any]) -> None:

@@ -12,8 +12,6 @@ import click
 
 from touchdown.experiments.cli.common import (
     CONFIG,
-    EXIT_DONE,
-    EXIT_FAILED,
     JSON,
     LIGHT,
     OVERRIDES,
@@ -212,7 +210,7 @@ def _run_flight(options: dict[str, Any], **more: Any) -> int:
         with none_left():
             address = None if view is None else view.address
             result = fly_with_usage_errors(config, out, make_progress(options["quiet"]), address)
-        code = _print(result, out, options)
+        code = print_run(result, out, as_json=options["as_json"], quiet=options["quiet"])
         if view is not None:
             view.stay()
     return code
@@ -247,18 +245,21 @@ def _run_replay(run: Path, options: dict[str, Any]) -> int:
         check_kept(out, flown, force=options["force"], replayed=run)
     with none_left():
         result = replay(run, config, out, make_progress(options["quiet"]), options["fault"])
-    code = _print(result, out, options)
+    code = print_run(result, out, as_json=options["as_json"], quiet=options["quiet"])
     if not options["as_json"]:
         say(f"replayed open loop, judged at {result.judged_hz:g} Hz")
     return code
 
 
-def _print(result: RunResult, out: Path, options: dict[str, Any]) -> int:
+def print_run(result: RunResult, out: Path, *, as_json: bool, quiet: bool) -> int:
+    """Prints the result of a flight or a replay in the run directory ``out``; returns the exit
+    code."""
+
     def show(_figures: dict[str, Any]) -> None:
         from touchdown.experiments.cli.console import print_result
 
         print_result(result, out)
 
-    end_progress(options["quiet"])
-    answer({**result.plain(), "run_dir": str(out)}, options["as_json"], show)
-    return EXIT_DONE if result.is_success else EXIT_FAILED
+    end_progress(quiet)
+    figures = {**result.plain(), "run_dir": str(out)}
+    return answer(figures, as_json, show, good=result.is_success)

@@ -54,14 +54,13 @@ COMMANDS = {
 @click.group(cls=CommandGroup, modules=COMMANDS, invoke_without_command=True)
 @click.version_option(package_name="touchdown-sim", prog_name="touchdown")
 @click.pass_context
-def cli(context: click.Context) -> int:
+def cli(context: click.Context) -> None:
     """Fly, map, choose a site and land a simulated quadrotor without GPS.
 
     Example: touchdown land crossroad
     """
     if context.invoked_subcommand is None:
         click.echo(context.get_help())
-    return EXIT_DONE
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

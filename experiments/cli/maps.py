@@ -6,9 +6,8 @@ from typing import Any
 import click
 
 from touchdown.experiments.cli.common import (
-    EXIT_DONE,
-    JOB_COUNT,
     JSON,
+    ONE_JOB,
     OVERRIDES,
     PATH,
     PROFILE,
@@ -34,12 +33,11 @@ def _dial(text: str) -> tuple[str, list[float]]:
 
 
 @click.group(cls=CommandGroup)
-def maps() -> int:
+def maps() -> None:
     """Keep maps of surveys with their true ground.
 
     Example: touchdown maps make crossroad --seeds 0-4 --out maps
     """
-    return EXIT_DONE
 
 
 @maps.command("make")
@@ -50,7 +48,7 @@ def maps() -> int:
 @click.option("--dial", "dials", multiple=True, metavar="KEY=FROM:TO:STEPS",
               help="Make each map at so many values of a key. May be repeated: each dial is turned "
               "alone.")  # fmt: skip
-@click.option("--jobs", type=JOB_COUNT, default=1, show_default=True)
+@ONE_JOB
 @OVERRIDES
 @JSON
 def maps_make(
@@ -70,7 +68,6 @@ def maps_make(
     from touchdown.experiments.benchmarks.selection import sites
 
     options["dials"] = dict(map(_dial, dials))
-
     source = sites.Posed(scenes or sites.SCENES, seeds, profile)
     options["report"] = lambda file: say(file, err=as_json)
     files = usage_errors(lambda: sites.make_maps(source, out, **options))

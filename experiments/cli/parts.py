@@ -13,8 +13,6 @@ import click
 
 from touchdown.experiments.cli.common import (
     CONFIG,
-    EXIT_DONE,
-    EXIT_FAILED,
     JSON,
     OVERRIDES,
     PATH,
@@ -112,8 +110,8 @@ def _check(
         say(f"{kind} {name}: {count if broken else 'conforms'}")
 
     rows = [{"rule": v.rule, "reason": v.reason, "trace": v.trace} for v in found.violations]
-    answer({kind: name, "violations": rows, "figures": found.figures}, as_json, show)
-    return EXIT_FAILED if found.violations else EXIT_DONE
+    figures = {kind: name, "violations": rows, "figures": found.figures}
+    return answer(figures, as_json, show, good=not found.violations)
 
 
 def _part(kind: str, name: str, overrides: tuple[str, ...]) -> Findings:
@@ -170,12 +168,11 @@ def _estimator(name: str, run: Path | None, seconds: float, overrides: tuple[str
 
 
 @click.group(cls=CommandGroup)
-def control() -> int:
+def control() -> None:
     """The flight controller.
 
     Example: touchdown control margins
     """
-    return EXIT_DONE
 
 
 @control.command("margins")
@@ -202,12 +199,11 @@ def control_margins(config_file: Path | None, overrides: tuple[str, ...]) -> dic
 
 
 @click.group(cls=CommandGroup)
-def px4() -> int:
+def px4() -> None:
     """PX4 as the flight controller.
 
     Example: touchdown px4 params
     """
-    return EXIT_DONE
 
 
 @px4.command("params")
@@ -314,7 +310,7 @@ def edges_evaluate(model: str, seeds: int, plot: Path | None, quiet: bool) -> di
 @SEED
 @_MODEL
 @QUIET
-def edges_picture(out: Path, seed: int, model: str, quiet: bool) -> int:
+def edges_picture(out: Path, seed: int, model: str, quiet: bool) -> None:
     """Draw the edge energy of an image and the smoothness of the returns by it.
 
     Example: touchdown edges picture --out edge-pictures
@@ -322,4 +318,3 @@ def edges_picture(out: Path, seed: int, model: str, quiet: bool) -> int:
     from touchdown.experiments.edges.scores import draw_figure
 
     say(str(usage_errors(lambda: draw_figure(out, seed, model, make_notes(quiet)))))
-    return EXIT_DONE

@@ -7,12 +7,11 @@ from typing import Any
 import click
 
 from touchdown.experiments.cli.common import (
-    EXIT_DONE,
+    LIGHT,
     OVERRIDES,
     PATH,
     QUIET,
     SEED,
-    SEEDS,
     CommandGroup,
     Number,
     answered,
@@ -21,12 +20,11 @@ from touchdown.experiments.terminal import progress_bar, say
 
 
 @click.group(cls=CommandGroup)
-def people() -> int:
+def people() -> None:
     """The network with which the watch finds people in images.
 
     Example: touchdown people evaluate people.onnx --data people/held
     """
-    return EXIT_DONE
 
 
 def _print_images(done: Mapping[str, Any]) -> None:
@@ -36,11 +34,10 @@ def _print_images(done: Mapping[str, Any]) -> None:
 @people.command("render")
 @click.argument("scene")
 @click.option("--out", type=PATH, required=True, help="A folder; a file of images is added.")
-@click.option("--light", type=click.Choice(["day", "overcast", "dusk", "night"]), default="day",
-              show_default=True)  # fmt: skip
+@click.option("--light", type=LIGHT, default="day", show_default=True)
 @click.option("--images", type=click.IntRange(1, 100_000), default=100, show_default=True)
 @click.option("--other-clothes", is_flag=True, help="Colours that nobody wears in the scenes.")
-@click.option("--seed", type=SEEDS, default=0, show_default=True)
+@SEED
 @OVERRIDES
 @answered(_print_images)
 def people_render(

@@ -7,8 +7,6 @@ from typing import Any
 import click
 
 from touchdown.experiments.cli.common import (
-    EXIT_DONE,
-    EXIT_FAILED,
     JSON,
     OVERRIDES,
     PATH,
@@ -17,8 +15,8 @@ from touchdown.experiments.cli.common import (
     answer,
     completed,
 )
-from touchdown.experiments.cli.fly import ESTIMATORS
-from touchdown.experiments.terminal import end_progress, make_progress, say
+from touchdown.experiments.cli.fly import ESTIMATORS, print_run
+from touchdown.experiments.terminal import make_progress, say
 
 
 @click.command()
@@ -88,18 +86,11 @@ def replay(
     out = out or default_out_dir(name, asked.estimator or ESTIMATORS[0], 0, "-replay")
     with none_left():
         result = replay_recording(data, out, asked, make_progress(quiet))
-
-    def show(_figures: dict[str, Any]) -> None:
-        from touchdown.experiments.cli.console import print_result
-
-        print_result(result, out)
-        for event in result.events:
-            if event.time_s == 0.0:
-                say(event.text)
-
-    end_progress(quiet)
-    answer({**result.plain(), "run_dir": str(out)}, as_json, show)
-    return EXIT_DONE if result.is_success else EXIT_FAILED
+    code = print_run(result, out, as_json=as_json, quiet=quiet)
+    for event in () if as_json else result.events:
+        if event.time_s == 0.0:
+            say(event.text)
+    return code
 
 
 @click.command()

@@ -14,8 +14,6 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from touchdown.experiments.cli.common import (
-    EXIT_DONE,
-    EXIT_FAILED,
     JSON,
     PATH,
     PRESET,
@@ -26,7 +24,6 @@ from touchdown.experiments.errors import UsageError, visible
 from touchdown.experiments.terminal import make_console, say
 
 if TYPE_CHECKING:
-    from touchdown.experiments.reporting.regression.baseline import Baseline
     from touchdown.experiments.reporting.sql import QueryResult
 
 
@@ -111,8 +108,8 @@ def _write_report(directory: Path, out: Path, as_json: bool) -> int:
         for path in files.values():
             say(f"written: {visible(path)}")
 
-    answer({**report.as_json(made, rows), "files": files}, as_json, show)
-    return EXIT_DONE if expectations.all_as_expected(verdicts) else EXIT_FAILED
+    figures = {**report.as_json(made, rows), "files": files}
+    return answer(figures, as_json, show, good=expectations.all_as_expected(verdicts))
 
 
 @click.command()
@@ -159,6 +156,8 @@ def regress(directory: Path, baseline: Path, update: bool, as_json: bool, **more
     Example: touchdown regress campaigns/positioning --baseline baseline.json
     """
     from touchdown.experiments.reporting.regression.baseline import read_baseline, write_baseline
+    from touchdown.experiments.reporting.regression.bounds import bounds_lines, check_bounds
+    from touchdown.experiments.reporting.regression.compare import compare, comparison_lines
 
     before = None if update else read_baseline(baseline)
     rows = _rows_of(directory, more["preset"], more["out"])
@@ -170,8 +169,13 @@ def regress(directory: Path, baseline: Path, update: bool, as_json: bool, **more
             lambda _figures: say(f"written: {baseline}, {len(rows)} flights"),
         )
     if more["bounds"]:
-        return _print_bounds(rows, before, as_json)
-    return _print_comparison(rows, before, as_json, more["margin"], more["require_power"])
+        bounded = check_bounds(rows, before)
+        figures, lines, failed = bounded.as_json(), bounds_lines(bounded), bounded.failed
+    else:
+        compared = compare(rows, before, more["margin"])
+        figures, lines = compared.as_json(), comparison_lines(compared)
+        failed = compared.failed(more["require_power"])
+    return answer(figures, as_json, lambda _: say("\n".join(map(visible, lines))), good=not failed)
 
 
 def _rows_of(source: Path, preset: str | None, out: Path | None) -> list[dict[str, Any]]:
@@ -195,29 +199,6 @@ def _rows_of(source: Path, preset: str | None, out: Path | None) -> list[dict[st
         directory = out or Path(folder) / "flights"
         fly_campaign(plan, directory, make_engine("local", None), watcher=Display())
         return load_flights(directory)
-
-
-def _print_bounds(rows: list[dict[str, Any]], baseline: Baseline, as_json: bool) -> int:
-    from touchdown.experiments.reporting.regression.bounds import bounds_lines, check_bounds
-
-    found = check_bounds(rows, baseline)
-    answer(found.as_json(), as_json, lambda _: say("\n".join(map(visible, bounds_lines(found)))))
-    return EXIT_FAILED if found.failed else EXIT_DONE
-
-
-def _print_comparison(
-    rows: list[dict[str, Any]],
-    baseline: Baseline,
-    as_json: bool,
-    margin: float,
-    require_power: bool,
-) -> int:
-    from touchdown.experiments.reporting.regression.compare import compare, comparison_lines
-
-    found = compare(rows, baseline, margin)
-    lines = comparison_lines(found)
-    answer(found.as_json(), as_json, lambda _: say("\n".join(map(visible, lines))))
-    return EXIT_FAILED if found.failed(require_power) else EXIT_DONE
 
 
 @click.command()

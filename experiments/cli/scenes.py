@@ -8,8 +8,6 @@ from typing import Any
 import click
 
 from touchdown.experiments.cli.common import (
-    EXIT_DONE,
-    EXIT_FAILED,
     JSON,
     LIGHT,
     OVERRIDES,
@@ -31,12 +29,11 @@ VIEW_NAMES = ("above", "oblique", "camera", "depth", "lidar", "height", "slope",
 
 
 @click.group(cls=CommandGroup)
-def scenes() -> int:
+def scenes() -> None:
     """Scenes: names, images, MJCF, checks, import of elevation models.
 
     Example: touchdown scenes list
     """
-    return EXIT_DONE
 
 
 @scenes.command("list")
@@ -148,9 +145,8 @@ def scenes_check(
         if rows:
             print_scene_check(rows)
 
-    answer({"scenes": rows, "places": places}, as_json, show)
     good = passed(rows) and not any(place["problems"] for place in places)
-    return EXIT_DONE if good else EXIT_FAILED
+    return answer({"scenes": rows, "places": places}, as_json, show, good=good)
 
 
 @scenes.command("export")

@@ -9,7 +9,6 @@ import click
 import numpy as np
 
 from touchdown.experiments.cli.common import (
-    EXIT_DONE,
     JSON,
     PATH,
     VEHICLE_NAMES,
@@ -27,12 +26,11 @@ _NAME = click.argument(
 
 
 @click.group(cls=CommandGroup)
-def vehicles() -> int:
+def vehicles() -> None:
     """Vehicles: the shipped ones, checks of own MJCF files, pictures.
 
     Example: touchdown vehicles check hexarotor
     """
-    return EXIT_DONE
 
 
 @vehicles.command("list")
