@@ -8,6 +8,7 @@ from typing import Any
 
 from touchdown.experiments.config.files import read_tree
 from touchdown.experiments.errors import UsageError
+from touchdown.scenes.api import DEFAULT_VEHICLE
 
 RENAMED: Mapping[str, str] = {
     "livo.mount_turn_sigma_deg": "livo.mount_rotation_sigma_deg",
@@ -102,7 +103,22 @@ def flatten(tree: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, An
             yield f"{prefix}{name}", value
 
 
-UNTOLD = ("scene", "seed", "estimator", "record", "log.", "sim.threads")
+BASES: Mapping[str, str] = {
+    "profile": "field", "preset": "whole", "vehicle": DEFAULT_VEHICLE, "rig": ""
+}  # fmt: skip
+"""Keys whose values set many others, and their values where nothing names one. An empty rig is the
+vehicle's own sensors."""
+
+
+def base_in(values: Mapping[str, Any], key: str) -> str:
+    """What ``values`` by dotted key name for a key of `BASES`."""
+    name = values.get(key)
+    return name if isinstance(name, str) else BASES[key]
+
+
+WITHOUT_EFFECT = ("record", "log.", "sim.threads")
+"""Keys, or their beginnings, that change nothing of a flight."""
+UNTOLD = ("scene", "seed", "estimator", *WITHOUT_EFFECT)
 """Keys, or their beginnings, that every result has, too, or that change nothing of a flight."""
 
 

@@ -25,11 +25,13 @@ from touchdown.experiments.config.files import (
     LARGEST,
     came_with_results,
     check_named_code,
+    read_tree,
     wrong_value,
 )
-from touchdown.experiments.config.files import read_tree as read_tree
 from touchdown.experiments.config.keys import (
+    BASES,
     REMOVED_GROUPS,
+    base_in,
     flatten,
     renewed,
 )
@@ -40,8 +42,6 @@ from touchdown.experiments.config.profiles import (
     base_sources,
     base_values,
     chosen_by_hand,
-    name_in,
-    preset_in,
 )
 from touchdown.experiments.config.ranges import (
     choices_of,
@@ -50,10 +50,8 @@ from touchdown.experiments.config.ranges import (
     rule_of,
     types_of_keys,
 )
-from touchdown.experiments.config.rigs import rig_in
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.config.slots import PREFIX, SLOTS, check_part_names, wrong_external_key
-from touchdown.experiments.config.vehicles import vehicle_in
 from touchdown.experiments.errors import UsageError, nearest, plain_fault
 from touchdown.landing.api import SurveyParams
 
@@ -152,8 +150,8 @@ def read_values(file: Path) -> dict[str, Any]:
 def under_base(file: Path, values: dict[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:
     """The ``values`` that ``file`` contributes beside those ``given`` by hand: of a whole
     configuration under another profile or preset, only what its author had chosen."""
-    names = (name_in, preset_in, vehicle_in, rig_in)
-    if came_with_results(file) and any(n({**values, **given}) != n(values) for n in names):
+    whole = {**values, **given}
+    if came_with_results(file) and any(base_in(whole, k) != base_in(values, k) for k in BASES):
         return chosen_by_hand(values, dict(default_values()))
     return values
 
@@ -171,7 +169,7 @@ def config_of(values: Mapping[str, Any], sources: Mapping[str, str]) -> Config:
         raise UsageError(f"{key} in {sources.get(key, 'the configuration')} {reason}")
     base = base_values(values)
     sources = {**base_sources(values), **sources}
-    config = _validate({KEY: name_in(values), **base, **values}, sources)
+    config = _validate({KEY: base_in(values, KEY), **base, **values}, sources)
     check_part_names(config, sources)
     _check_rates(config)
     _check_map(config)

@@ -13,18 +13,16 @@ from collections.abc import Mapping
 from importlib import resources
 from typing import Any
 
-from touchdown.experiments.config.keys import flatten
-from touchdown.experiments.config.rigs import KEY as RIG_KEY
-from touchdown.experiments.config.rigs import rig_in, rig_values
-from touchdown.experiments.config.vehicles import KEY as VEHICLE_KEY
-from touchdown.experiments.config.vehicles import vehicle_in, vehicle_values
+from touchdown.experiments.config.keys import BASES, base_in, flatten
+from touchdown.experiments.config.rigs import rig_values
+from touchdown.experiments.config.vehicles import vehicle_values
 from touchdown.experiments.errors import UsageError, nearest
 
 KEY = "profile"
 """The key that names the profile."""
 EFFECTS_KEY = "harsh_effects"
 """The key that names effects at the level of `harsh`."""
-DEFAULT = "field"
+DEFAULT = BASES[KEY]
 """The profile of a flight that names none."""
 BEFORE_PROFILES = "ideal"
 """The profile of files that the program wrote before there were profiles."""
@@ -39,7 +37,7 @@ _ASSUMED = ("livo.", "zou2024.", "flown_imu.", "calibration_prior.", "stereo_vo.
 PROFILES = tuple(_LAYERS)
 PRESET_KEY = "preset"
 """The key that names the preset."""
-WHOLE = "whole"
+WHOLE = BASES[PRESET_KEY]
 """The preset of a flight that names none; it sets nothing."""
 PRESETS = (WHOLE, "short", "park")
 
@@ -102,11 +100,10 @@ def preset_values(name: str) -> Mapping[str, Any]:
 def base_values(values: Mapping[str, Any]) -> dict[str, Any]:
     """The values that profile, effects, preset, scene, vehicle and rig of ``values`` set. Raises
     UsageError for a vehicle that cannot fly, and a rig that is none."""
-    profile = profile_values(name_in(values))
     lower = {
-        **profile,
+        **profile_values(base_in(values, KEY)),
         **effect_values(values.get(EFFECTS_KEY)),
-        **preset_values(preset_in(values)),
+        **preset_values(base_in(values, PRESET_KEY)),
     }
     lower |= scene_values(values)
     lower |= vehicle_values(values, lower)
@@ -115,12 +112,13 @@ def base_values(values: Mapping[str, Any]) -> dict[str, Any]:
 
 def base_sources(values: Mapping[str, Any]) -> dict[str, str]:
     """The source of each of the `base_values`, for error messages."""
+    profile, preset, vehicle, rig = (base_in(values, key) for key in BASES)
     return {
-        **dict.fromkeys(base_values(values), f"profile {name_in(values)}"),
-        **dict.fromkeys(preset_values(preset_in(values)), f"preset {preset_in(values)}"),
+        **dict.fromkeys(base_values(values), f"profile {profile}"),
+        **dict.fromkeys(preset_values(preset), f"preset {preset}"),
         **dict.fromkeys(scene_values(values), "scene deck"),
-        **dict.fromkeys(vehicle_values(values, {}), f"vehicle {vehicle_in(values)}"),
-        **dict.fromkeys(rig_values(values, {}), f"rig {rig_in(values)}"),
+        **dict.fromkeys(vehicle_values(values, {}), f"vehicle {vehicle}"),
+        **dict.fromkeys(rig_values(values, {}), f"rig {rig}"),
     }
 
 
@@ -144,18 +142,6 @@ def scene_values(values: Mapping[str, Any]) -> Mapping[str, Any]:
     return {**_DECK, "landing.deck_tag_m": values.get("deck.tag_m", 0.0)}
 
 
-def name_in(values: Mapping[str, Any]) -> str:
-    """The profile that ``values`` by dotted key name; the default where they name none."""
-    name = values.get(KEY, DEFAULT)
-    return name if isinstance(name, str) else DEFAULT
-
-
-def preset_in(values: Mapping[str, Any]) -> str:
-    """The preset that ``values`` by dotted key name; `WHOLE` where they name none."""
-    name = values.get(PRESET_KEY, WHOLE)
-    return name if isinstance(name, str) else WHOLE
-
-
 def chosen_by_hand(values: Mapping[str, Any], defaults: Mapping[str, Any]) -> dict[str, Any]:
     """``values`` of a whole configuration without those that its own profile and preset set.
 
@@ -164,5 +150,4 @@ def chosen_by_hand(values: Mapping[str, Any], defaults: Mapping[str, Any]) -> di
     keys.
     """
     own = {**defaults, **base_values(values)}
-    named = (KEY, PRESET_KEY, VEHICLE_KEY, RIG_KEY)
-    return {k: v for k, v in values.items() if k in named or k not in own or own[k] != v}
+    return {k: v for k, v in values.items() if k in BASES or k not in own or own[k] != v}

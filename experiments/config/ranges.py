@@ -113,7 +113,8 @@ def bounds_of(kind: Any) -> dict[str, float]:
     are those of the first element."""
     if typing.get_origin(kind) is typing.Annotated:
         found = _flat(kind.__metadata__)
-        return {name: getattr(item, name) for item in found for name in BOUNDS if _has(item, name)}
+        pairs = ((name, getattr(item, name, None)) for item in found for name in BOUNDS)
+        return {name: bound for name, bound in pairs if bound is not None}
     for inner in typing.get_args(kind):
         if bounds := bounds_of(inner):
             return bounds
@@ -180,10 +181,6 @@ def _flat(metadata: Any) -> Iterator[BaseMetadata]:
             yield from _flat(item)
         elif isinstance(item, BaseMetadata):
             yield item
-
-
-def _has(item: Any, name: str) -> bool:
-    return getattr(item, name, None) is not None
 
 
 def range_text(bounds: Mapping[str, float]) -> str:

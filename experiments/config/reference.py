@@ -7,6 +7,7 @@ import inspect
 import json
 import typing
 from collections.abc import Iterator
+from operator import attrgetter
 from types import NoneType, UnionType
 from typing import Any
 
@@ -46,7 +47,7 @@ def meanings(kind: Any) -> dict[str, str]:
 def meaning_of(key: str) -> str:
     """The docstring of a key; "" if there is none."""
     group, _, name = key.rpartition(".")
-    kind: Any = type(functools.reduce(getattr, group.split("."), Config())) if group else Config
+    kind: Any = type(attrgetter(group)(Config())) if group else Config
     return meanings(kind).get(name, "")
 
 
@@ -81,7 +82,7 @@ def default_of(key: str) -> str:
     """The default as TOML, or ``none``."""
     if key == KEY:
         return f"`{json.dumps(DEFAULT)}`"
-    value = functools.reduce(getattr, key.split("."), Config())
+    value = attrgetter(key)(Config())
     if value is None:
         return "none"
     return f"`{json.dumps(value, default=str)}`"
@@ -94,7 +95,7 @@ def groups() -> Iterator[tuple[str, str, list[str]]]:
         found.setdefault(key.rpartition(".")[0], []).append(key)
     for group, keys in found.items():
         if group:
-            kind = type(functools.reduce(getattr, group.split("."), Config()))
+            kind = type(attrgetter(group)(Config()))
             text = inspect.cleandoc(kind.__doc__ or "")
             yield group, "" if text.startswith(f"{kind.__name__}(") else text, keys
         else:

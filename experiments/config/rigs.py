@@ -12,12 +12,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from touchdown.experiments.config.files import read_tree
-from touchdown.experiments.config.keys import flatten
+from touchdown.experiments.config.keys import base_in, flatten
 from touchdown.experiments.errors import UsageError, nearest
 from touchdown.landing.api import SurveyParams
 
-KEY = "rig"
-"""The key that names the rig."""
 _FOLDER = Path(__file__).parent / "rigs"
 RIGS = tuple(sorted(file.stem for file in _FOLDER.glob("*.toml")))
 _GROUPS = ("lidar", "camera", "lamp", "imu")
@@ -30,18 +28,12 @@ _SHARE = 99.0
 """percentile of the pulses, that counts as the edge of a swath"""
 
 
-def rig_in(values: Mapping[str, Any]) -> str:
-    """The rig that ``values`` by dotted key name; empty: the vehicle's own sensors."""
-    name = values.get(KEY, "")
-    return name if isinstance(name, str) else ""
-
-
 def rig_values(values: Mapping[str, Any], lower: Mapping[str, Any]) -> dict[str, Any]:
     """The values by dotted key that the rig of ``values`` sets over ``lower``, those of profile,
     preset and vehicle. A LIDAR with a narrower swath than the default's has the legs of the survey
     nearer to one another, and more of them, at the same speed. Raises UsageError for a rig that is
     none."""
-    name = rig_in(values)
+    name = base_in(values, "rig")
     if not name:
         return {}
     own = _own(name)

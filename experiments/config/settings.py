@@ -6,7 +6,7 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
-from touchdown.experiments.config.keys import flatten
+from touchdown.experiments.config.keys import WITHOUT_EFFECT, flatten
 from touchdown.experiments.config.loading import default_values, dump_config
 from touchdown.experiments.config.profiles import DEFAULT, WHOLE, chosen_by_hand
 from touchdown.experiments.config.schema import Config
@@ -15,8 +15,6 @@ from touchdown.scenes.api import DEFAULT_VEHICLE
 
 NAMED = ("scene", "seed", "estimator", "profile", "preset")
 """Keys that are fields of a result."""
-_SAME_FLIGHT = ("record", "log.", "sim.threads")
-"""Keys, or their beginnings, that change nothing of a flight."""
 _MOST_WORDS, _LONGEST = 3, 60
 _SHOWN = 4
 
@@ -31,7 +29,7 @@ def settings_of(config: Config) -> dict[str, Any]:
         chosen.pop("vehicle", None)
     if not config.rig:
         chosen.pop("rig", None)
-    return {k: v for k, v in chosen.items() if k not in NAMED and not k.startswith(_SAME_FLIGHT)}
+    return {k: v for k, v in chosen.items() if k not in NAMED and not k.startswith(WITHOUT_EFFECT)}
 
 
 def identity_of(config: Config) -> dict[str, Any]:

@@ -7,6 +7,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from operator import attrgetter
 from typing import TYPE_CHECKING, Any
 
 from touchdown.experiments.errors import UsageError, nearest
@@ -61,10 +62,7 @@ def names_code(slot: Slot, name: Any) -> bool:
 
 def part_of(config: Config, kind: str) -> str:
     """The name that fills a slot."""
-    value: Any = config
-    for name in SLOTS[kind].key.split("."):
-        value = getattr(value, name)
-    return str(value)
+    return str(attrgetter(SLOTS[kind].key)(config))
 
 
 def external_parts(config: Config) -> Iterator[tuple[str, str]]:

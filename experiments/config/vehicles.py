@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from touchdown.controller.api import ControlParams
+from touchdown.experiments.config.keys import base_in
 from touchdown.experiments.errors import UsageError
 from touchdown.landing.api import LandingParams
 from touchdown.scenes.api import DEFAULT_VEHICLE, vehicle_file
@@ -21,8 +22,6 @@ from touchdown.sim.api import GRAVITY_MPS2, SimParams, VehicleModel
 if TYPE_CHECKING:
     from touchdown.controller.design import LoopMargin
 
-KEY = "vehicle"
-"""The key that names the vehicle."""
 _TILTED_THRUST = 0.65
 """fraction of the rotors' thrust that carries the weight at the largest tilt; the rest is for
 gusts and torques"""
@@ -49,12 +48,6 @@ class Examined(NamedTuple):
     battery_j: float
     battery_ohm: float
     lidar: str
-
-
-def vehicle_in(values: Mapping[str, Any]) -> str:
-    """The vehicle that ``values`` by dotted key name; the default where they name none."""
-    name = values.get(KEY, DEFAULT_VEHICLE)
-    return name if isinstance(name, str) else DEFAULT_VEHICLE
 
 
 def examined(name: str) -> Examined:
@@ -114,7 +107,7 @@ def _examined(name: str, _path: str, _stamp: int) -> Examined:
 def vehicle_values(values: Mapping[str, Any], lower: Mapping[str, Any]) -> dict[str, Any]:
     """The values by dotted key that the vehicle of ``values`` sets over those of profile and
     preset, ``lower``. Raises UsageError for one that cannot fly."""
-    name = vehicle_in(values)
+    name = base_in(values, "vehicle")
     return {} if name == DEFAULT_VEHICLE else values_of(examined(name), lower)
 
 

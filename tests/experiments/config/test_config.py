@@ -4,8 +4,9 @@ from pathlib import Path
 import pytest
 
 from touchdown.experiments.campaign.plan import load_plan
+from touchdown.experiments.config.files import read_tree
 from touchdown.experiments.config.keys import RENAMED
-from touchdown.experiments.config.loading import dump_config, known_keys, load_config, read_tree
+from touchdown.experiments.config.loading import dump_config, known_keys, load_config
 from touchdown.experiments.config.ranges import choices_of, types_of_keys
 from touchdown.experiments.config.slots import SLOTS
 from touchdown.experiments.errors import UsageError
