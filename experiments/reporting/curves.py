@@ -13,13 +13,12 @@ from touchdown.experiments.campaign.plan import AXES
 from touchdown.experiments.config.keys import flatten
 from touchdown.experiments.io.result_parts import PartNames
 from touchdown.experiments.reporting.comparison import NEEDED
-from touchdown.experiments.reporting.figures import Picture, colour_of, drawn
+from touchdown.experiments.reporting.figures import Picture, add_legend, colour_of, drawn, whiskers
 from touchdown.experiments.reporting.flights import Row, config_numbers, ordered, values_and_units
 from touchdown.experiments.reporting.logistic import LogisticFit, crossing_difference, fit_logistic
 from touchdown.experiments.reporting.measures import measure_of
 from touchdown.experiments.reporting.statistics import Estimate, clustered_fraction, mean_interval
 from touchdown.experiments.reporting.tables import Cell, Table, cell, digits, name_cell
-from touchdown.sim.typing import Array
 
 MIN_LEVELS = 3
 """of a key of numbers that is a dial"""
@@ -241,8 +240,7 @@ def _picture(
             axes.set(title=measure_of(column).plain)
             axes.set_ylim(0.0, 1.1 * axes.get_ylim()[1])
         figure.supxlabel(dial, fontsize=9)
-        handles, labels = panels[0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside upper center", ncols=4, fontsize=8)
+        add_legend(figure, panels[0], 4)
     return picture
 
 
@@ -266,13 +264,5 @@ def paint_levels(axes: Any, own: pd.DataFrame, column: str, colour: str, aside: 
         if figure is not None:
             at.append(float(value) + aside)  # type: ignore[arg-type]
             found.append(figure)
-    axes.errorbar(at, [f.value for f in found], yerr=_whiskers(found), fmt="o", markersize=4,
+    axes.errorbar(at, [f.value for f in found], yerr=whiskers(found), fmt="o", markersize=4,
                   color=colour, capsize=2.0, linewidth=0.9)  # fmt: skip
-
-
-def _whiskers(found: Sequence[Estimate]) -> Array:
-    ends = [
-        (0.0, 0.0) if f.low is None or f.high is None else (f.value - f.low, f.high - f.value)
-        for f in found
-    ]
-    return np.maximum(np.reshape(ends, (-1, 2)).T, 0.0)

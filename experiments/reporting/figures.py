@@ -1,7 +1,7 @@
 """Figures of a report as SVG: trajectories, errors by axis, touchdowns."""
 
 import io
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -187,7 +187,7 @@ def _paths_by_method(frame: pd.DataFrame) -> Picture | None:
         for axes, (method, paths) in zip(panels, found, strict=False):
             _paint_plan(axes, paths, colour_of(method, methods))
             axes.set_title(method)
-        _add_legend(figure, panels[0], 3)
+        add_legend(figure, panels[0], 3)
         figure.supxlabel("x (m)", fontsize=9)
         figure.supylabel("y (m)", fontsize=9)
     return picture
@@ -206,7 +206,7 @@ def _paint_plan(axes: Axes, paths: _Paths, colour: str) -> None:
     axes.set_aspect("equal", adjustable="box")
 
 
-def _add_legend(figure: Figure, axes: Axes, columns: int) -> None:
+def add_legend(figure: Figure, axes: Axes, columns: int) -> None:
     """A legend over all panels of what one of them shows."""
     handles, labels = axes.get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper center", ncols=columns, fontsize=8)
@@ -227,7 +227,7 @@ def _error_bars(frame: pd.DataFrame, key: str, picture: Picture) -> Picture | No
         for axes, (axis, name, unit) in zip(panels, AXES, strict=True):
             _paint_bars(axes, frame, f"{key}.{axis}", scenes, methods)
             axes.set_ylabel(f"{name} ({unit})")
-        _add_legend(figure, panels[0], len(methods))
+        add_legend(figure, panels[0], len(methods))
     return picture
 
 
@@ -244,11 +244,10 @@ def _paint_bars(
             for at, scene in enumerate(scenes)
             if (figure := mean_interval(*values_and_units(own[own["scene"] == scene], column)))
         }
-        whiskers = np.array([_whiskers(figure) for figure in found.values()]).reshape(-1, 2).T
         label = f"{method} {SET_MARK}" if is_marked(column, [method]) else method
         bars = [figure.value for figure in found.values()]
         axes.bar(list(found), bars, 0.9 * width, color=colour_of(method, methods), label=label,
-                 yerr=whiskers, ecolor=INK, capsize=2.0)  # fmt: skip
+                 yerr=whiskers(found.values()), ecolor=INK, capsize=2.0)  # fmt: skip
         heights += [height for height in bars if height > 0.0]
     if heights and max(heights) > 20.0 * min(heights):
         axes.set_yscale("log")
@@ -258,10 +257,13 @@ def _paint_bars(
     axes.grid(axis="x", visible=False)
 
 
-def _whiskers(estimate: Estimate) -> tuple[float, float]:
-    if estimate.low is None or estimate.high is None:
-        return 0.0, 0.0
-    return max(0.0, estimate.value - estimate.low), max(0.0, estimate.high - estimate.value)
+def whiskers(found: Iterable[Estimate]) -> Array:
+    """(2, N) lengths of the intervals below and above their figures; 0 without one."""
+    ends = [
+        (0.0, 0.0) if f.low is None or f.high is None else (f.value - f.low, f.high - f.value)
+        for f in found
+    ]
+    return np.maximum(np.reshape(ends, (-1, 2)).T, 0.0)
 
 
 _RINGS_M = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)
@@ -312,7 +314,7 @@ def _touchdowns(landings: pd.DataFrame) -> Picture | None:
         for axes, span, title in zip(panels, spans, ("all", "the nearest, enlarged"), strict=False):
             _paint_touchdowns(axes, offsets, span)
             axes.set_title(title)
-        _add_legend(figure, panels[0], min(6, len(offsets)))
+        add_legend(figure, panels[0], min(6, len(offsets)))
     return picture
 
 

@@ -37,9 +37,10 @@ class LogisticFit:
 
     def band(self, dial: Array) -> tuple[Array, Array, Array]:
         """The probability at (N,) values of the dial, and the ends of its 95 % interval."""
-        design = np.stack([np.ones(len(dial)), self._scaled(dial)])
+        design = np.stack([np.ones(len(dial)), _scaled(dial, self.low, self.high)])
         logit = self.coefficients @ design
-        half = self._student() * np.sqrt(np.einsum("in,ij,jn->n", design, self.covariance, design))
+        variance = np.einsum("in,ij,jn->n", design, self.covariance, design)
+        half = _student(len(self.influence)) * np.sqrt(variance)
         return _expit(logit), _expit(logit - half), _expit(logit + half)
 
     @property
@@ -63,14 +64,8 @@ class LogisticFit:
 
     def changes(self) -> bool:
         """True if the interval of the slope excludes none."""
-        half = self._student() * np.sqrt(self.covariance[1, 1])
+        half = _student(len(self.influence)) * np.sqrt(self.covariance[1, 1])
         return bool(abs(self.coefficients[1]) > half)
-
-    def _scaled(self, dial: Array) -> Array:
-        return (2.0 * dial - self.low - self.high) / (self.high - self.low)
-
-    def _student(self) -> float:
-        return float(stats.t.ppf(0.5 + 0.5 * CONFIDENCE, max(len(self.influence) - 2, 1)))
 
 
 def fit_logistic(
@@ -80,7 +75,7 @@ def fit_logistic(
     of ``units`` (N,) share random draws."""
     values, y = np.asarray(dial, np.float64), np.asarray(hits, np.float64)
     low, high = float(values.min()), float(values.max())
-    design = np.stack([np.ones_like(values), (2.0 * values - low - high) / (high - low)])
+    design = np.stack([np.ones_like(values), _scaled(values, low, high)])
     b = np.zeros(2)
     for _ in range(_STEPS):
         p = _expit(b @ design)
@@ -113,17 +108,25 @@ def crossing_difference(a: LogisticFit, b: LogisticFit, level: float) -> Estimat
     for fit in (a, b):
         if (at := fit.crossing(level)) is None:
             return None
-        x = (2.0 * at.value - fit.low - fit.high) / (fit.high - fit.low)
+        x = _scaled(at.value, fit.low, fit.high)
         slope = -0.5 * (fit.high - fit.low) / fit.coefficients[1] * np.array([1.0, x])
         found.append((at.value, {name: float(slope @ psi) for name, psi in fit.influence.items()}))
     (first, before), (second, after) = found
     names = before.keys() | after.keys()
     k = len(before.keys() & after.keys()) or min(len(before), len(after))
     spread = [after.get(name, 0.0) - before.get(name, 0.0) for name in names]
-    half = float(stats.t.ppf(0.5 + 0.5 * CONFIDENCE, max(k - 2, 1)))
-    half *= float(np.sqrt(np.sum(np.square(spread)) * len(names) / max(len(names) - 1, 1)))
-    value = second - first
+    error = float(np.sqrt(np.sum(np.square(spread)) * len(names) / max(len(names) - 1, 1)))
+    value, half = second - first, _student(k) * error
     return Estimate(value, value - half, value + half, min(a.flights, b.flights), k)
+
+
+def _scaled(dial: Any, low: float, high: float) -> Any:
+    """-1 at ``low`` to 1 at ``high``."""
+    return (2.0 * dial - low - high) / (high - low)
+
+
+def _student(units: int) -> float:
+    return float(stats.t.ppf(0.5 + 0.5 * CONFIDENCE, max(units - 2, 1)))
 
 
 def _expit(x: Array) -> Array:

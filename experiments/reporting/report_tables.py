@@ -60,9 +60,11 @@ def _is(own: pd.DataFrame, column: str, wanted: bool) -> Any:
     return own[column].eq(wanted) if column in own else np.zeros(len(own), bool)
 
 
-_SAFE = fraction(
-    "safe landings", lambda own: (own["outcome"] == "LANDED") & _is(own, "ground_safe", True)
-)
+def _landed_safely(own: pd.DataFrame) -> Any:
+    return (own["outcome"] == "LANDED") & _is(own, "ground_safe", True)
+
+
+_SAFE = fraction("safe landings", _landed_safely)
 
 
 def landed_of(frame: pd.DataFrame) -> pd.DataFrame:
@@ -196,7 +198,7 @@ def _table_5(landings: pd.DataFrame) -> Table:
         count("landings"),
         INDEPENDENT,
         fraction("landed", lambda own: own["outcome"] == "LANDED"),
-        fraction("safe", lambda own: (own["outcome"] == "LANDED") & _is(own, "ground_safe", True)),
+        fraction("safe", _landed_safely),
         *(
             _when_landed(mean(column, printed=_by_method(column)))
             for column in (

@@ -5,6 +5,7 @@ import re
 import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from touchdown.experiments.errors import UsageError
@@ -88,7 +89,7 @@ BLOCKS = (
     Block(_FIELD, "paper", ("landing",), tables.paper_landings),
     Block(_FIELD, "positioning", ("positioning", "landing"), tables.positioning),
     Block(_FIELD, "levelness", ("positioning", "landing"), tables.levelness),
-    Block(_FIELD, "ideal", ("landing",), tables.ideal_landings),
+    Block(_FIELD, "ideal", ("landing",), partial(tables.landings, profile="ideal")),
     Block(_FIELD, "zou2024", ("zou2024",), tables.conditions),
     Block(_FIELD, "one sensor", ("one_sensor",), tables.conditions),
     Block(_FIELD, "light", ("field_light",), tables.conditions),

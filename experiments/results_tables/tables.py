@@ -72,11 +72,6 @@ def landings(frame: pd.DataFrame, profile: str = "field") -> list[str]:
     return with_notes(table)
 
 
-def ideal_landings(frame: pd.DataFrame) -> list[str]:
-    """`landings` in profile `ideal`."""
-    return landings(frame, "ideal")
-
-
 def _failures(frame: pd.DataFrame) -> list[str]:
     """A sentence for each flight that did not land on safe ground."""
     told = []

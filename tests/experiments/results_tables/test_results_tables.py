@@ -85,9 +85,10 @@ def test_landings_by_scene() -> None:
     assert "independent" not in every and every["d_L (m)"].startswith("0.300 [")
     of_one_seed = tables.landings(frame_of([one | {"unit": "a"} for one in landed()]))
     assert cells(of_one_seed, "all scenes")["independent"] == "1"
-    assert tables.ideal_landings(frame_of(landed())) == ["Not flown in `ideal` yet."]
+    assert tables.landings(frame_of(landed()), "ideal") == ["Not flown in `ideal` yet."]
     other = [one | {"profile": "ideal"} for one in landed()[:1]]
-    assert cells(tables.ideal_landings(frame_of([*landed(), *other])), "`lake`")["flights"] == "1"
+    ideal = tables.landings(frame_of([*landed(), *other]), "ideal")
+    assert cells(ideal, "`lake`")["flights"] == "1"
     text = "\n".join(lines)
     assert "- `forest`, `livo`, seed 2: COLLIDED (a tree)." in text
     assert "- `forest`, `livo`, seed 1: LANDED, on unsafe ground." in text
