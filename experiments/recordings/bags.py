@@ -25,6 +25,7 @@ from touchdown.experiments.recordings.contract import (
     RawFrame,
     RawImage,
     RawScan,
+    Recording,
     RigParts,
     RotorTable,
     Span,
@@ -83,7 +84,7 @@ def _limited() -> Iterator[None]:
         resource.setrlimit(resource.RLIMIT_DATA, (before, most))
 
 
-class RosBag:
+class RosBag(Recording):
     """A ``.bag`` file, or a folder with ``metadata.yaml``. The body is the root of the static
     transforms above the IMU, or the IMU."""
 
@@ -274,10 +275,6 @@ class RosBag:
         stamps = np.array([row[0] for row in rows], np.int64)
         return poses_of(stamps[good], values[good, :3], values[good, 3:])
 
-    def nav(self) -> None:
-        """Not read from bags."""
-        return
-
     @_limited()
     def rotors(self) -> RotorTable | None:
         """The velocities of the joints, which our exports write."""
@@ -287,10 +284,6 @@ class RosBag:
             return None
         stamps = np.array([stamp for stamp, _ in rows], np.int64)
         return RotorTable(stamps_ns=stamps, speeds=np.array([speeds for _, speeds in rows]))
-
-    def begins_ns(self) -> int:
-        """The first stamp of a frame."""
-        return next((frame.stamp_ns for frame in self.frames()), 0)
 
     def frames(self, span: Span = ALL) -> Iterator[RawFrame]:
         """Scans and images in the order of the bag; a message that contradicts itself ends it."""

@@ -218,7 +218,8 @@ class ComposedLog(SensorLogReader):
         camera_s, scan_s = self._periods["left"] or 0.1, self._periods["scan"] or 0.1
         lidar, body_from_lidar = parts.lidar, parts.body_from_lidar or Pose.identity()
         if self._pair_as_scan:
-            lidar, body_from_lidar = pair_sheet(self._focal_baseline), optics.body_from_camera
+            lidar = pair_sheet(optics.camera.fx * self._baseline_m)
+            body_from_lidar = optics.body_from_camera
             scan_s = camera_s
         start, tilt = self._start()
         found = None if self._still else self._first_velocity
@@ -254,11 +255,6 @@ class ComposedLog(SensorLogReader):
         assert self._optics is not None
         left, right = self._optics.body_from_camera, self._optics.body_from_right
         return float(np.linalg.norm(right.translation - left.translation))
-
-    @property
-    def _focal_baseline(self) -> float:
-        assert self._optics is not None
-        return self._optics.camera.fx * self._baseline_m
 
     def _start(self) -> tuple[Pose, float]:
         """world_from_body at the start from gravity, and the standard deviation of its tilt."""

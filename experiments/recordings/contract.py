@@ -5,7 +5,7 @@ import dataclasses
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -178,8 +178,9 @@ class Span(NamedTuple):
 ALL = Span(-(1 << 62), 1 << 62)
 
 
-class Recording(Protocol):
-    """A recording in one format. Its methods raise UsageError, one line, for what is damaged."""
+class Recording:
+    """A recording in one format, here without messages. The methods of formats raise UsageError,
+    one line, for what is damaged."""
 
     path: Path
     found: RigParts
@@ -187,25 +188,25 @@ class Recording(Protocol):
 
     def imu(self) -> ImuTable | None:
         """All samples; None without an IMU."""
-        ...
+        return None
 
     def truth(self) -> PoseTable | None:
         """Poses of the body; None without."""
-        ...
+        return None
 
     def nav(self) -> NavTable | None:
         """Fixes, pressures and magnetic fields; None without any."""
-        ...
+        return None
 
     def rotors(self) -> RotorTable | None:
         """Speeds of the rotors of the vehicle; None without, as is usual."""
-        ...
+        return None
 
     def frames(self, span: Span = ALL) -> Iterator[RawFrame]:
         """Scans and images of a span of stamps in the order of the recording, which is nearly that
         of the stamps; each time from the beginning."""
-        ...
+        return iter(())
 
     def begins_ns(self) -> int:
         """The first stamp of a frame."""
-        ...
+        return next((frame.stamp_ns for frame in self.frames()), 0)

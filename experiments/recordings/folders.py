@@ -1,5 +1,6 @@
 """Folders of data sets: EuRoC's ASL layout and KITTI odometry's."""
 
+import dataclasses
 import functools
 from collections.abc import Callable, Iterator
 from itertools import zip_longest
@@ -18,6 +19,7 @@ from touchdown.experiments.recordings.contract import (
     RawFrame,
     RawImage,
     RawScan,
+    Recording,
     RigParts,
     RotorTable,
     Span,
@@ -85,7 +87,7 @@ def _rows(path: Path, columns: int) -> tuple[Stamps, Array]:
     return order, np.array(values)
 
 
-class EurocFolder:
+class EurocFolder(Recording):
     """A folder ``mav0`` of EuRoC MAV, or the one that holds it. The body is the IMU, in a folder of
     ours that of the rig in it."""
 
@@ -137,10 +139,6 @@ class EurocFolder:
             turned = turns @ imu_from_body.rotation
             values[:, 3:] = [quat_wxyz_from_matrix(turn) for turn in turned]
         return PoseTable(stamps_ns=stamps, positions=values[:, :3], quats_wxyz=values[:, 3:])
-
-    def nav(self) -> None:
-        """Not in this format."""
-        return
 
     def rotors(self) -> RotorTable | None:
         """The speeds in ``rotors0``, which our exports write beside their rig."""
@@ -205,7 +203,7 @@ def _listed(folder: Path) -> list[tuple[int, Path]]:
     return found
 
 
-class KittiFolder:
+class KittiFolder(Recording):
     """A sequence of KITTI odometry: ``velodyne``, ``image_2`` or ``image_3``, ``calib.txt`` and
     ``times.txt``; poses in ``poses.txt`` or ``../../poses/NN.txt``. The body is the LIDAR. Sweeps
     are moved to one instant by the data set, and there is no IMU."""
@@ -249,9 +247,7 @@ class KittiFolder:
         camera = CameraIntrinsics(width=width, height=height, fx=fx, fy=fy, cx=cx, cy=cy)
         shift = Pose(np.eye(3), np.linalg.inv(projection[:, :3]) @ projection[:, 3])
         lens = Lens(intrinsics=camera, body_from_camera=(shift @ self._camera_from_body).inverse())
-        return RigParts(
-            camera=lens, body_from_lidar=Pose.identity(), lidar=lidar, moving=True
-        )  # fmt: skip
+        return dataclasses.replace(parts, camera=lens)
 
     @property
     def _camera_from_body(self) -> Pose:
@@ -271,10 +267,6 @@ class KittiFolder:
             return np.rint(times * 1e9).astype(np.int64).tolist()  # type: ignore[no-any-return]
 
         return _told(file, read)
-
-    def imu(self) -> None:
-        """There is none."""
-        return
 
     def truth(self) -> PoseTable | None:
         """The poses, if there are any."""
@@ -299,12 +291,6 @@ class KittiFolder:
             positions=np.array([pose.translation for pose in poses]),
             quats_wxyz=np.array([quat_wxyz_from_matrix(pose.rotation) for pose in poses]),
         )
-
-    def nav(self) -> None:
-        """Not in this format."""
-        return
-
-    rotors = nav
 
     def begins_ns(self) -> int:
         """The first stamp of a frame."""

@@ -1,7 +1,6 @@
 """Logs of PX4 (``.ulg``): IMU, GPS, barometer and magnetometer, and the truth of a simulation or
 what PX4's own estimator found. Read by `pyulog`, extra ``ulog``."""
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -12,13 +11,11 @@ from scipy.spatial.transform import Rotation, Slerp
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.recordings.clock import poses_of
 from touchdown.experiments.recordings.contract import (
-    ALL,
     ImuTable,
     NavTable,
     PoseTable,
-    RawFrame,
+    Recording,
     RigParts,
-    Span,
     Stamps,
 )
 from touchdown.sim.api import ImuSheet
@@ -37,7 +34,7 @@ _TOPICS = (
 _UT_PER_GAUSS = 100.0
 
 
-class Px4Log:
+class Px4Log(Recording):
     """A ``.ulg`` file. The body is PX4's, turned to forward, left, up; its IMU is at its origin.
     Positions are east, north, up of the first fix."""
 
@@ -73,7 +70,7 @@ class Px4Log:
         stamps, rows = np.unique(stamps[good], return_index=True)
         return (stamps, values[good][rows]) if len(stamps) else None
 
-    def imu(self) -> ImuTable | None:
+    def imu(self) -> ImuTable:
         """``sensor_combined``."""
         found = self._columns(
             "sensor_combined", *(f"gyro_rad[{k}]" for k in range(3)),
@@ -141,15 +138,6 @@ class Px4Log:
                 return stamps, np.column_stack([local, velocity, sigmas])
         return None
 
-    def rotors(self) -> None:
-        """Not read."""
-        return
-
     def begins_ns(self) -> int:
         """The first stamp of the IMU."""
-        imu = self.imu()
-        return 0 if imu is None else int(imu.stamps_ns[0])
-
-    def frames(self, span: Span = ALL) -> Iterator[RawFrame]:
-        """There are none."""
-        return iter(())
+        return int(self.imu().stamps_ns[0])

@@ -131,7 +131,7 @@ def intrinsics_of(
 
 
 def _of_kalibr(tree: Mapping[str, Any]) -> RigParts:
-    parts, topics, before = RigParts(), {}, Pose.identity()
+    topics, before = {}, Pose.identity()
     cameras = [tree[name] for name in ("cam0", "cam1") if name in tree]
     if not cameras:
         raise RigError("it has no cam0; is it Kalibr's camchain-imucam.yaml?")
@@ -152,14 +152,11 @@ def _of_kalibr(tree: Mapping[str, Any]) -> RigParts:
             camera.get("distortion_coeffs", []), what,
         )  # fmt: skip
         shift = float(numbers(camera.get("timeshift_cam_imu", 0.0), 1, f"timeshift of {what}")[0])
-        lenses.append(
-            Lens(intrinsics=lens, body_from_camera=from_imu.inverse(),
-                 offset_s=shift)
-        )  # fmt: skip
+        lenses.append(Lens(intrinsics=lens, body_from_camera=from_imu.inverse(), offset_s=shift))
         if isinstance(camera.get("rostopic"), str):
             topics["camera" if n == 0 else "camera_right"] = camera["rostopic"]
     right = lenses[1] if len(lenses) > 1 else None
-    return dataclasses.replace(parts, camera=lenses[0], right=right, topics=topics)
+    return RigParts(camera=lenses[0], right=right, topics=topics)
 
 
 _TABLES = ("topics", "imu", "lidar", "camera", "camera_right", "magnetometer")

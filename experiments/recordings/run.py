@@ -244,7 +244,6 @@ class RecordedRun(LoggedRun):
         more: dict[str, Any] = {"profile": None, "wind_kmh": None}
         if truth:
             notes.append(_ALIGNED[self.options.align])
-        if truth:
             judged = _judged(folder / "estimate.tum", truth, self)
             truth, more["position_error_m"] = judged.truth, judged.error
             if self.options.align == "se3" or not self.log.begins_at_rest:
