@@ -1,8 +1,9 @@
 """Commands ``touchdown bench ...``, which measure speed and accuracy."""
 
 import json
+import pkgutil
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -232,10 +233,10 @@ def _line(one: Any) -> str:
     return f"{one.measure.title:38}{values} {one.measure.unit}{ratio}"
 
 
-def _print_profile(figures: dict[str, Any]) -> None:
-    from touchdown.experiments.benchmarks.flight_profile import table
-
-    say(table(figures))
+def _table_by(place: str) -> Callable[[dict[str, Any]], None]:
+    """Prints the text that MODULE:FUNCTION in `experiments.benchmarks` makes of figures."""
+    name = f"touchdown.experiments.benchmarks.{place}"
+    return lambda figures: say(pkgutil.resolve_name(name)(figures))
 
 
 @bench.command("profile")
@@ -246,7 +247,7 @@ def _print_profile(figures: dict[str, Any]) -> None:
 @_FULL
 @click.option("--out", type=PATH, metavar="DIR",
               help="Write stages.json and, with py-spy, flame.svg there.")  # fmt: skip
-@answered(_print_profile)
+@answered(_table_by("flight_profile:table"))
 def bench_profile(out: Path | None, **chosen: Any) -> dict[str, Any]:
     """Fly once on one core, without recording: the processor time of each stage, and a flame graph.
 
@@ -275,12 +276,6 @@ def bench_profile(out: Path | None, **chosen: Any) -> dict[str, Any]:
     return figures
 
 
-def _print_ablation(figures: dict[str, Any]) -> None:
-    from touchdown.experiments.benchmarks.ablation import ablation_table
-
-    say(ablation_table(figures))
-
-
 def _report(quiet: bool, text: str) -> None:
     if not quiet and sys.stderr.isatty():
         print(f"\r\x1b[K{text}"[:160], end="", file=sys.stderr, flush=True)
@@ -293,7 +288,7 @@ def _report(quiet: bool, text: str) -> None:
               "[all]")  # fmt: skip
 @click.option("--seconds", type=Number(min=0.0, max=86400.0, min_open=True),
               help="Duration of each log after lift-off.  [all]")  # fmt: skip
-@answered(_print_ablation)
+@answered(_table_by("ablation:ablation_table"))
 @QUIET
 def bench_ablate(
     runs: tuple[Path, ...], method: tuple[str, ...], seconds: float | None, quiet: bool
@@ -308,12 +303,6 @@ def bench_ablate(
     from touchdown.experiments.benchmarks.ablation import ablate
 
     return ablate(runs, method, seconds, lambda text: _report(quiet, text))
-
-
-def _print_touchdown(figures: dict[str, Any]) -> None:
-    from touchdown.experiments.benchmarks.contact.tipping import table
-
-    say(table(figures))
 
 
 def _range(name: str, low: float, high: float, what: str) -> Any:
@@ -336,7 +325,7 @@ def _range(name: str, low: float, high: float, what: str) -> Any:
 @click.option("--out", type=PATH, metavar="DIR",
               help="Write touchdown.json and the maps, touchdown.svg, there.")  # fmt: skip
 @OVERRIDES
-@answered(_print_touchdown)
+@answered(_table_by("contact.tipping:table"))
 @QUIET
 def bench_touchdown(out: Path | None, quiet: bool, **options: Any) -> dict[str, Any]:
     """Set the vehicle down by its own descent, detection and controller on slopes of 0 to 25
@@ -366,12 +355,6 @@ def bench_touchdown(out: Path | None, quiet: bool, **options: Any) -> dict[str, 
     return figures
 
 
-def _print_hazards(figures: dict[str, Any]) -> None:
-    from touchdown.experiments.benchmarks.selection.hazards import table
-
-    say(table(figures))
-
-
 @bench.command("hazards")
 @click.argument("scenes", nargs=-1)
 @_seeds("0-3")
@@ -380,7 +363,7 @@ def _print_hazards(figures: dict[str, Any]) -> None:
 @ONE_JOB
 @click.option("--out", type=PATH, metavar="DIR", help="Draw the curves, hazards.svg, there.")
 @OVERRIDES
-@answered(_print_hazards)
+@answered(_table_by("selection.hazards:table"))
 def bench_hazards(
     scenes: tuple[str, ...], seeds: str, overrides: Sequence[str], out: Path | None, **options: Any
 ) -> dict[str, Any]:
