@@ -10,10 +10,10 @@ from touchdown.experiments.external.processes import release_pages
 from touchdown.experiments.flight.conditions import ConditionsObserver
 from touchdown.experiments.flight.intrusion import IntrusionObserver
 from touchdown.experiments.flight.metrics import GroundMap
-from touchdown.experiments.io.result_parts import Event, PhaseStart
+from touchdown.experiments.io.result_parts import Event, PhaseStart, StageTimes, Timing
 from touchdown.experiments.recording.recorder import Recorder, StepRecord
 from touchdown.landing.api import Decision
-from touchdown.sim.api import SensorRig, WindParams
+from touchdown.sim.api import SensorRig
 
 Progress = Callable[[float, str, str], None]
 """Called with simulated seconds, phase and note."""
@@ -49,7 +49,7 @@ class StepObserver:
         recorder: Recorder,
         progress: Progress | None,
         rig: SensorRig,
-        roughness_length_m: float = WindParams().roughness_length_m,
+        roughness_length_m: float,
     ) -> None:
         self.events = EventLog()
         self.phases: list[PhaseStart] = []
@@ -115,14 +115,15 @@ class StageClock:
         """by stage, so far"""
         self._started = time.perf_counter()
 
-    def wall_s(self) -> float:
-        """Time since the start, inside and outside of stages."""
-        return time.perf_counter() - self._started
-
-    def stage_ms(self, sim_s: float) -> dict[str, float]:
-        """Milliseconds of wall time per 0.1 s of simulated time (one LIDAR scan), by stage."""
-        scans = max(sim_s / 0.1, 1e-9)
-        return {name: 1e3 * total / scans for name, total in sorted(self.seconds.items())}
+    def timing(self, sim_s: float) -> Timing:
+        """The times since the start, inside and outside of stages, of ``sim_s`` simulated
+        seconds; those of stages for each 0.1 s of them, which is one LIDAR scan."""
+        wall_s, scans = time.perf_counter() - self._started, max(sim_s / 0.1, 1e-9)
+        stages = {name: 1e3 * total / scans for name, total in sorted(self.seconds.items())}
+        return Timing(
+            wall_s=wall_s, sim_s=sim_s, real_time_factor=sim_s / wall_s,
+            stage_ms=StageTimes(**stages),
+        )  # fmt: skip
 
 
 class Timed:

@@ -28,7 +28,6 @@ from touchdown.experiments.external.loading import flown_code
 from touchdown.experiments.flight.metrics import Consistency, PositioningError
 from touchdown.experiments.flight.observers import EventLog, Progress, StageClock
 from touchdown.experiments.io.provenance import git_revision, versions
-from touchdown.experiments.io.result_parts import StageTimes, Timing
 from touchdown.experiments.io.results import RunResult, load_result
 from touchdown.experiments.io.sensor_log_reader import SensorLogReader
 from touchdown.experiments.io.tum import TumWriter, read_tum
@@ -326,7 +325,7 @@ def _replay(
             progress(obs.time_s, "REPLAY", "")
     if outcome is Outcome.COMPLETED and not np.isfinite(logged.from_s):
         outcome, reason = Outcome.GROUNDED, "the logged flight never took off"
-    wall_s = clock.wall_s()
+    timing = clock.timing(last_s)
     code: dict[str, Any] = dict(flown_code(config.estimator))
     return RunResult(
         outcome=str(outcome),
@@ -346,12 +345,7 @@ def _replay(
         position_error_m=error.summary(),
         nees=consistency.summary(),
         landing=None,
-        timing=Timing(
-            wall_s=wall_s,
-            sim_s=last_s,
-            real_time_factor=last_s / wall_s,
-            stage_ms=StageTimes(**clock.stage_ms(last_s)),
-        ),
+        timing=timing,
         versions=versions(),
         git_revision=git_revision(),
         events=events.kept,

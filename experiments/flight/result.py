@@ -28,8 +28,6 @@ from touchdown.experiments.io.result_parts import (
     PartNames,
     RefusingRule,
     SiteTerm,
-    StageTimes,
-    Timing,
 )
 from touchdown.experiments.io.results import RunResult
 from touchdown.landing.api import RULE_KEYS, Candidate, Decision
@@ -78,7 +76,7 @@ def make_result(
         choice=choice_of(observer.decisions, missed),
         classifier=stack.network or "off",
         map=_map_figures(stack, judgement, observer.judged_map, config.seed),
-        timing=_timing(clock, judgement.sim_s),
+        timing=clock.timing(judgement.sim_s),
         versions=versions(),
         renderer=record.renderer,
         git_revision=git_revision(),
@@ -106,16 +104,6 @@ def _parts(config: Config) -> dict[str, Any]:
         told["scene_sha"] = imported_code(config.scene)
     code = {kind: imported_code(name) for kind, name in external.items() if kind in others}
     return told | ({"parts_sha": PartNames(**code)} if code else {})
-
-
-def _timing(clock: StageClock, sim_s: float) -> Timing:
-    wall_s = clock.wall_s()
-    return Timing(
-        wall_s=wall_s,
-        sim_s=sim_s,
-        real_time_factor=sim_s / wall_s,
-        stage_ms=StageTimes(**clock.stage_ms(sim_s)),
-    )
 
 
 def _map_figures(
