@@ -10,8 +10,8 @@ import datetime
 import errno
 import faulthandler
 import gc
-import importlib
 import os
+import pkgutil
 import shutil
 import signal
 import sys
@@ -83,7 +83,8 @@ def fly(task: Task) -> dict[str, Any]:
     wall, cpu = time.perf_counter(), time.process_time()
     shutil.rmtree(task.folder, ignore_errors=True)
     os.makedirs(task.folder)
-    result = _runner(task)(config, Path(task.folder) / task.run_id)
+    run: Callable[[Config, Path], RunResult] = pkgutil.resolve_name(task.runner)
+    result = run(config, Path(task.folder) / task.run_id)
     release_memory()
     return make_row(
         result,
@@ -95,11 +96,6 @@ def fly(task: Task) -> dict[str, Any]:
         started_utc=started,
         worker_memory_mb=memory_bytes([os.getpid()]) / 1e6,
     )
-
-
-def _runner(task: Task) -> Callable[[Config, Path], RunResult]:
-    module, _, function = task.runner.partition(":")
-    return getattr(importlib.import_module(module), function)
 
 
 def run_task(config: Config, out: Path) -> RunResult:

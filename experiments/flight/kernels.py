@@ -10,8 +10,8 @@ lacks of the lists FILE, by default of the first; with ``--write SCENE`` it writ
 by short landings over the scene.
 """
 
-import importlib
 import os
+import pkgutil
 import sys
 import tempfile
 import threading
@@ -57,20 +57,17 @@ def read_types(text: str) -> tuple[Any, ...]:
     known = dict(vars(types)) | {
         "readonly": lambda array: array.copy(readonly=True),
         "tuple_of": lambda *inner: types.BaseTuple.from_types(inner),
-        "record": lambda place: lambda *inner: types.BaseTuple.from_types(inner, _named(place)),
+        "record": lambda place: (
+            lambda *inner: types.BaseTuple.from_types(inner, pkgutil.resolve_name(_PACKAGE + place))
+        ),
     }
     return eval(f"({text},)", known)
-
-
-def _named(place: str) -> Any:
-    module, _, name = place.partition(":")
-    return getattr(importlib.import_module(_PACKAGE + module), name)
 
 
 def read_line(line: str) -> tuple[Any, tuple[Any, ...]]:
     """The kernel of a line of the list, and the types of its arguments."""
     place, _, text = line.partition(" ")
-    return _named(place), read_types(text)
+    return pkgutil.resolve_name(_PACKAGE + place), read_types(text)
 
 
 def compile_lines(lines: Iterable[str]) -> list[str]:
