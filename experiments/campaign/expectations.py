@@ -12,7 +12,7 @@ from touchdown.experiments.api import Outcome
 from touchdown.experiments.campaign.campaign_file import BOUNDS, Expect
 from touchdown.experiments.campaign.directory import read_plan_file
 from touchdown.experiments.campaign.plan import matches
-from touchdown.experiments.campaign.results_table import CRASHED, refresh, touched_safe_ground
+from touchdown.experiments.campaign.results_table import CRASHED, judged_columns, refresh
 
 _FELL = (Outcome.TIPPED, Outcome.COLLIDED)
 
@@ -183,7 +183,7 @@ def touched_unsafely(row: Mapping[str, Any]) -> bool:
     """True if a flight touched ground that is not known to be safe, tipped over or collided."""
     if row.get("landing.touchdown_xy_m") is None:
         return row["outcome"] in _FELL
-    return row["outcome"] in _FELL or touched_safe_ground(row) is not True
+    return row["outcome"] in _FELL or judged_columns(row)["ground_safe"] is not True
 
 
 def expected_text(expectation: Expect) -> str:

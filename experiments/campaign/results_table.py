@@ -54,12 +54,8 @@ _FIRST_COLUMNS = (
 )  # fmt: skip
 
 
-def _schema() -> dict[str, str]:
-    kinds = {**_RUN_COLUMNS, **columns()}
-    return {name: kinds[name] for name in (*_FIRST_COLUMNS, *kinds)}
-
-
-SCHEMA: Mapping[str, str] = _schema()
+_KINDS = {**_RUN_COLUMNS, **columns()}
+SCHEMA: Mapping[str, str] = {name: _KINDS[name] for name in (*_FIRST_COLUMNS, *_KINDS)}
 """Columns of every table and their kinds, derived from `RunResult`. Other keys of a result follow
 them."""
 
@@ -97,11 +93,6 @@ def judged_columns(row: Mapping[str, Any]) -> dict[str, bool | None]:
 def is_successful(row: Mapping[str, Any]) -> bool:
     """`RunResult.is_success` of a row."""
     return judged_columns(row)["success"] is True
-
-
-def touched_safe_ground(row: Mapping[str, Any]) -> bool | None:
-    """`Landing.ground_safe` of a row; None without a touchdown."""
-    return judged_columns(row)["ground_safe"]
 
 
 def crashed_row(record: Mapping[str, Any]) -> dict[str, Any]:

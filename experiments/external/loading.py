@@ -53,11 +53,6 @@ def describe_error(error: BaseException) -> str:
     return f"{type(error).__name__}: {text}" if text else type(error).__name__
 
 
-def is_external(name: str) -> bool:
-    """True if the name of a part is MODULE:FUNCTION."""
-    return ":" in name
-
-
 def external_builder(name: str, kind: str = "estimator") -> Build:
     """Function ``build`` of the module ``my_lab.vio`` for ``my_lab.vio:build``.
 
@@ -188,7 +183,7 @@ def imported_code(name: str) -> str:
 def flown_code(name: str) -> dict[str, str]:
     """``estimator_sha`` of a result: `imported_code` of an external estimator. Empty for built-in
     ones, whose code ``git_revision`` identifies."""
-    return {"estimator_sha": imported_code(name)} if is_external(name) else {}
+    return {"estimator_sha": imported_code(name)} if ":" in name else {}
 
 
 def code_now(name: str, kind: str = "estimator") -> str:

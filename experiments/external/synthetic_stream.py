@@ -91,18 +91,17 @@ class SyntheticStream:
         self,
         rig: SensorRig,
         needs: SensorNeeds,
-        seconds: float = 3.0,
-        seed: int = 0,
+        seconds: float,
         turn_rad: float = 0.0,
     ) -> None:
-        self._rig, self._needs, self._seed = rig, needs, seed
+        self._rig, self._needs = rig, needs
         self._seconds, self._turn_rad = seconds, turn_rad
         self._start = rig.world_from_body_start
-        tiles = np.random.default_rng([seed, 1]).integers(30, 226, (256, 256, 3))
+        tiles = np.random.default_rng([0, 1]).integers(30, 226, (256, 256, 3))
         self._tiles = tiles.astype(np.float32)
 
     def __iter__(self) -> Iterator[Observation]:
-        rng = np.random.default_rng([self._seed, 2])
+        rng = np.random.default_rng([0, 2])
         arriving: defaultdict[int, defaultdict[str, list[Any]]]
         arriving = defaultdict(lambda: defaultdict(list))
         sensors = self._sensors()

@@ -381,8 +381,6 @@ class BiasedEstimator:
     """Adds a horizontal offset to another estimator's pose, ramped in linearly after take-off."""
 
     def __init__(self, inner: Estimator, params: BiasParams) -> None:
-        if params.ramp_s <= 0.0:
-            raise ValueError(f"bias.ramp_s is {params.ramp_s}; it must be positive")
         self.needs, self.spare_sensors = inner.needs, spare_sensors(inner)
         self._inner = inner
         self._bias = np.array([*params.xy_m, 0.0])

@@ -17,7 +17,9 @@ def to_plain(value: Any) -> Any:
     """Dicts, lists, numbers and text of a dataclass. Their JSON text keeps every float64; a vector
     of float64 becomes a list, any other array a dict with dtype and shape."""
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        return {name: to_plain(getattr(value, name)) for name in _names(type(value))}
+        return {
+            field.name: to_plain(getattr(value, field.name)) for field in dataclasses.fields(value)
+        }
     if isinstance(value, np.ndarray):
         if value.dtype == np.float64 and value.ndim == 1:
             return value.tolist()
@@ -74,11 +76,6 @@ def _array(plain: Any) -> np.ndarray:
         array = np.array(plain["data"], dtype=np.dtype(plain["dtype"])).reshape(plain["shape"])
     array.setflags(write=False)
     return array
-
-
-@functools.cache
-def _names(kind: type) -> tuple[str, ...]:
-    return tuple(field.name for field in dataclasses.fields(kind))
 
 
 @functools.cache
