@@ -133,11 +133,11 @@ def test_data_sets_are_listed(says: Says) -> None:
 
 
 def test_points_are_moved_by_a_constant_twist() -> None:
-    point = np.array([[2.0, 0.0, 1.0]])
+    points = np.array([[2.0, 0.0, 1.0]] * 2)
     quarter = np.array([0.0, 0.0, np.pi / 2.0, 3.0, 0.0, -1.0])
-    np.testing.assert_allclose(moved_by_twist(point, np.array([1.0]), quarter), [[3.0, 2.0, 0.0]])
-    halfway = [[0.3 + 2.0 * np.cos(0.05 * np.pi), 2.0 * np.sin(0.05 * np.pi), 0.9]]
-    np.testing.assert_allclose(moved_by_twist(point, np.array([0.1]), quarter), halfway)
+    early = [0.3 + 2.0 * np.cos(0.05 * np.pi), 2.0 * np.sin(0.05 * np.pi), 0.9]
+    found = moved_by_twist(points, np.array([1.0, 0.1]), quarter)
+    np.testing.assert_allclose(found, [[3.0, 2.0, 0.0], early])
 
 
 def _off(twist: Array, raw: Array, times: Array, still: Array) -> Array:
