@@ -8,12 +8,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import (
-    BaseModel,
-    Field,
-    PrivateAttr,
-)
+from pydantic import BaseModel, Field, PrivateAttr
 
+from touchdown.experiments.api import Outcome
 from touchdown.experiments.errors import UsageError, input_message, reason_of
 from touchdown.experiments.io.provenance import plain_json
 from touchdown.experiments.io.result_parts import (
@@ -34,8 +31,6 @@ from touchdown.experiments.io.result_parts import (
 )
 from touchdown.experiments.io.untrusted import read_object
 
-SUCCESS_WITHOUT_LANDING = "COMPLETED"
-LANDED = "LANDED"
 _FILE = "result.json"
 _LARGEST_SEED = 2**63 - 1
 
@@ -149,9 +144,9 @@ class RunResult(Part):
 def is_success(outcome: str, touched_safe_ground: bool | None) -> bool:
     """The one rule of a successful flight: landed on safe ground, or, for a survey alone, flown to
     its end."""
-    if outcome == SUCCESS_WITHOUT_LANDING:
+    if outcome == Outcome.COMPLETED:
         return True
-    return outcome == LANDED and touched_safe_ground is True
+    return outcome == Outcome.LANDED and touched_safe_ground is True
 
 
 def columns() -> dict[str, str]:
