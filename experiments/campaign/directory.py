@@ -19,7 +19,6 @@ from touchdown.experiments.campaign.plan import Plan, PlannedRun, config_for, co
 from touchdown.experiments.campaign.results_table import FAILED, RESULTS_FILE, RUNS, refresh
 from touchdown.experiments.campaign.worker import Failure, Task
 from touchdown.experiments.config.keys import flatten
-from touchdown.experiments.config.profiles import BEFORE_PROFILES
 from touchdown.experiments.config.slots import SLOTS, names_code
 from touchdown.experiments.errors import UsageError, reason_of
 from touchdown.experiments.external.loading import code_now
@@ -222,7 +221,6 @@ def _merged(
     """``runs`` under the names that they had, which lengthen when an axis gets a second value."""
     # Compared as today's program understands them: defaults may have changed since.
     source = str(directory / PLAN_FILE)
-    before = [{**old, "values": {"profile": BEFORE_PROFILES, **old["values"]}} for old in before]
     known = [config_sha(config_for(old["values"], source), but=("record",)) for old in before]
     names = {sha: old["run_id"] for sha, old in zip(known, before, strict=True)}
     planned = [config_sha(config_for(run.values, source), but=("record",)) for run in runs]

@@ -11,7 +11,7 @@ from touchdown.experiments.campaign.plan import config_sha
 from touchdown.experiments.config.keys import flatten
 from touchdown.experiments.config.loading import load_config
 from touchdown.experiments.errors import UsageError, is_text, reason_of
-from touchdown.experiments.io.result_parts import ground_safe, present_columns
+from touchdown.experiments.io.result_parts import ground_safe
 from touchdown.experiments.io.results import (
     RunResult,
     columns,
@@ -185,8 +185,7 @@ def load_rows(directory: Path) -> list[dict[str, Any]]:
     ``directory`` is that of a campaign in any state (crashed runs are rows too), or holds run
     directories at any depth. Raises UsageError without a run.
     """
-    found = refresh(directory) if is_campaign(directory) else _plain_rows(directory)
-    rows = list(map(present_columns, found))
+    rows = refresh(directory) if is_campaign(directory) else _plain_rows(directory)
     if not rows:
         raise UsageError(f"'{directory}' holds no finished run yet")
     # Through a table, so that both kinds of directory give the same types.

@@ -1,11 +1,9 @@
 """The parts of a result: what a flight measured, chose and missed."""
 
 import math
-import warnings
-from collections.abc import Mapping
 from typing import Annotated, Any
 
-from pydantic import AliasChoices, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+from pydantic import AliasChoices, BaseModel, BeforeValidator, ConfigDict, Field
 
 JUDGED_BY_CLASS, JUDGED_BY_GEOMETRY = "geometry and class", "geometry"
 
@@ -23,22 +21,6 @@ PointXY = Annotated[tuple[float, float] | None, Field(strict=False)]
 
 PointXYZ = Annotated[tuple[float, float, float] | None, Field(strict=False)]
 """x, y and z in metres; None where the run has no such point."""
-
-
-def present_columns(row: Mapping[str, Any]) -> dict[str, Any]:
-    """``row`` by the names of this version. Those of earlier ones are told in one warning."""
-    renamed = {
-        name: name.removesuffix("_share") + "_fraction"
-        for name in row
-        if name.removeprefix("measured.") in _EARLIER
-    }
-    if renamed:
-        told = "; ".join(f"'{old}' is '{new}'" for old, new in renamed.items())
-        warnings.warn(f"columns of an earlier version: {told} now", stacklevel=2)
-    return {renamed.get(name, name): value for name, value in row.items()}
-
-
-_EARLIER = {"lamp_share", "mass_share", "rotor_share", "plants_share", "dust_returns_share"}
 
 
 class Part(BaseModel):
@@ -260,11 +242,6 @@ class Measured(Part):
     dust_images: Figure = None
     dust_returns_fraction: Figure = None
     """of the returns of scans in dust"""
-
-    @model_validator(mode="before")
-    @classmethod
-    def _of_this_version(cls, tree: Any) -> Any:
-        return present_columns(tree) if isinstance(tree, Mapping) else tree
 
 
 class SiteTerm(Part):

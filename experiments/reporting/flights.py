@@ -64,19 +64,12 @@ def frame_of(rows: Sequence[Row]) -> pd.DataFrame:
 
 def check_revisions(rows: Iterable[Row], directory: Path) -> None:
     """Raises UsageError where a flight that ended with a result has no git revision."""
-    missing = [r for r in rows if r["outcome"] != CRASHED and not recorded_revision(r)]
+    missing = [r for r in rows if r["outcome"] != CRASHED and not r.get("git_revision")]
     if missing:
         raise UsageError(
             f"'{directory}': {len(missing)} results have no git revision, the first is "
             f"'{missing[0]['run_id']}'; {UNRECORDED_REMEDY}"
         )
-
-
-def recorded_revision(row: Row) -> str | None:
-    """The git revision of a flight; None where it was not recorded, for which earlier versions
-    wrote "unknown"."""
-    found = row.get("git_revision")
-    return str(found) if found and found != "unknown" else None
 
 
 def campaign_text(directory: Path) -> str:

@@ -34,7 +34,6 @@ from touchdown.experiments.reporting.flights import (
     label_conditions,
     number,
     ordered,
-    recorded_revision,
 )
 from touchdown.experiments.reporting.report_tables import (
     accuracy_table,
@@ -193,7 +192,7 @@ def condition_words(rows: Sequence[Row], *, paper: bool = True) -> list[str]:
         f"{_seeds(seeds)}. "
         f"Mean wind: {', '.join(f'{wind:g}' for wind in winds) or 'not recorded'} km/h.",
         *(part_words(rows) if paper else ()),
-        *_revision_words(recorded_revision(row) for row in rows),
+        *_revision_words(row.get("git_revision") for row in rows),
         f"Intervals: {INTERVAL}, 10 000 seeded resamples; percentages of flights: Wilson's score "
         "interval. Fewer than three flights have no interval.",
         *([f"Published figures: {published.SOURCE}."] if paper else []),

@@ -1,7 +1,6 @@
 """Directory of a campaign: its owner, and the rows read from it."""
 
 import dataclasses
-import json
 import os
 import time
 from pathlib import Path
@@ -110,15 +109,3 @@ def test_a_table_has_the_values_of_its_rows() -> None:
     }  # fmt: skip
     assert table_of([]).to_pylist() == []
     assert table_of([]).schema == made.select(table_of([]).column_names).schema
-
-
-def test_columns_of_earlier_versions_are_read_with_one_warning(tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    fly(make_plan(tmp_path, TWO), out)
-    for file in out.glob("runs/*/result.json"):
-        result = json.loads(file.read_text())
-        result["measured"] = {"lamp_share": 0.25, "gain": 2.0}
-        file.write_text(json.dumps(result))
-    with pytest.warns(UserWarning, match="'lamp_share' is 'lamp_fraction' now"):
-        rows = load_rows(out / "runs")
-    assert [row["measured.lamp_fraction"] for row in rows] == [0.25, 0.25]
