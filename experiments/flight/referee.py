@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -32,6 +32,9 @@ from touchdown.sim.airframe.vehicle import vehicle_model
 from touchdown.sim.api import Contact, MovingFrame, Truth
 from touchdown.sim.frames import Pose, tilt_from_rotation
 from touchdown.sim.typing import Array
+
+if TYPE_CHECKING:
+    from touchdown.scenes.truth.maps import TouchdownJudgement
 
 _DESCENDING = frozenset({Phase.DESCEND, Phase.TOUCHDOWN, Phase.RETURN, Phase.DONE})
 _LIFT_OFF_HEIGHT_M = 0.1
@@ -318,26 +321,14 @@ def _off_the_map(height_gap_m: float | None) -> str:
     return f"it stands {abs(height_gap_m):.2f} m {side} the truth map: not safe"
 
 
-class DeckJudgement(NamedTuple):
-    """As `scenes.truth.maps.TouchdownJudgement`, of a place on a deck."""
-
-    slope_deg: float
-    safe_geometry: bool
-    land_class: str
-    safe: bool
-    obstacle_distance_m: float
-    """from the vehicle's middle to the next edge"""
-    roughness_m: float = 0.0
-
-
 @dataclass(frozen=True)
 class TruthLookup:
     """Looks up the true ground of a scene."""
 
     scene: Scene
 
-    def judge(self, xy: Array) -> Any:
-        """``scenes.truth.maps.TouchdownJudgement`` of the point ``xy`` (2,), world frame."""
+    def judge(self, xy: Array) -> "TouchdownJudgement":
+        """Judges the point ``xy`` (2,), world frame."""
         from touchdown.scenes.truth.maps import judge_touchdown
 
         return judge_touchdown(self.scene, xy)
@@ -382,15 +373,21 @@ class TruthLookup:
         gaps = np.where(above > 0.0, above, -np.maximum(below, 0.0))
         return float(gaps[np.argmax(np.abs(gaps))]) + 0.0  # no negative zero
 
-    def judge_on_deck(self, world_from_body: Pose, deck: MovingFrame) -> DeckJudgement:
-        """Judges a vehicle that stands on a deck: safe where all of it is within the edges."""
+    def judge_on_deck(self, world_from_body: Pose, deck: MovingFrame) -> "TouchdownJudgement":
+        """Judges a vehicle that stands on a deck: safe where all of it is within the edges, which
+        are its obstacles."""
+        from touchdown.scenes.truth.maps import TouchdownJudgement
+
         geom = self.scene.model.geom(next(iter(self.decks)))
         at = deck.world_from_frame.inverse().apply(world_from_body.translation) - geom.pos
         room = float(np.min(geom.size[:2] - np.abs(at[:2])))
         safe = room > vehicle_model(self.scene.model).footprint_radius_m
         slope = math.degrees(tilt_from_rotation(deck.world_from_frame.rotation))
         land_class = self.scene.surfaces[geom.name].land_class
-        return DeckJudgement(slope, safe, land_class, safe and land_class in SAFE_CLASSES, room)
+        return TouchdownJudgement(
+            slope_deg=slope, roughness_m=0.0, safe_geometry=safe, land_class=land_class,
+            safe=safe and land_class in SAFE_CLASSES, obstacle_distance_m=room,
+        )  # fmt: skip
 
     @cached_property
     def decks(self) -> frozenset[str]:
