@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import functools
 import json
-import resource
 from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -13,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
-import psutil
 
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.recordings.clock import poses_of
@@ -34,6 +32,7 @@ from touchdown.experiments.recordings.pictures import decoded
 from touchdown.experiments.recordings.point_clouds import scan_of_cloud, scan_of_livox
 from touchdown.experiments.recordings.rig_files import intrinsics_of, pose_of, read_yaml, whole_rig
 from touchdown.sim.api import SensorRig
+from touchdown.sim.files.child import limited_memory
 from touchdown.sim.frames import Pose
 from touchdown.sim.typing import Bytes
 
@@ -70,25 +69,11 @@ _CHANNELS = {"mono8": 1, "8UC1": 1, "rgb8": 3, "bgr8": 3, "8UC3": 3, "rgba8": 4,
              **dict.fromkeys(_BAYER, 1)}  # fmt: skip
 
 
-@contextmanager
-def _limited() -> Iterator[None]:
-    """Lets the process take `_MEMORY` beyond what it has; MemoryError after that."""
-    before, most = resource.getrlimit(resource.RLIMIT_DATA)
-    info = psutil.Process().memory_info()
-    wanted = getattr(info, "data", info.rss) + _MEMORY
-    least = min(one for one in (wanted, before, most) if one != resource.RLIM_INFINITY)
-    resource.setrlimit(resource.RLIMIT_DATA, (least, most))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_DATA, (before, most))
-
-
 class RosBag(Recording):
     """A ``.bag`` file, or a folder with ``metadata.yaml``. The body is the root of the static
     transforms above the IMU, or the IMU."""
 
-    @_limited()
+    @limited_memory(_MEMORY)
     def __init__(self, path: Path, given: RigParts) -> None:
         """``path``: also a file of the folder. ``given``: what a rig file says; its ``topics``
         choose where a bag has several."""
@@ -241,7 +226,7 @@ class RosBag(Recording):
 
     # ------------------------------------------------------------------------ messages
 
-    @_limited()
+    @limited_memory(_MEMORY)
     def imu(self) -> ImuTable | None:
         """The samples, in the order of their stamps, each once."""
         rows = []
@@ -257,7 +242,7 @@ class RosBag(Recording):
             raise UsageError(f"'{self.path}': the IMU has samples that are no numbers")
         return ImuTable(stamps_ns=stamps, gyro=values[:, :3], force=values[:, 3:])
 
-    @_limited()
+    @limited_memory(_MEMORY)
     def truth(self) -> PoseTable | None:
         """The poses of the topic of the truth."""
         rows = []
@@ -275,7 +260,7 @@ class RosBag(Recording):
         stamps = np.array([row[0] for row in rows], np.int64)
         return poses_of(stamps[good], values[good, :3], values[good, 3:])
 
-    @_limited()
+    @limited_memory(_MEMORY)
     def rotors(self) -> RotorTable | None:
         """The velocities of the joints, which our exports write."""
         rows = [(_stamp(m), np.array(m.velocity)) for m in
@@ -289,7 +274,7 @@ class RosBag(Recording):
         """Scans and images in the order of the bag; a message that contradicts itself ends it."""
         found = self._frames(span)
         while True:
-            with _limited():
+            with limited_memory(_MEMORY):
                 frame = next(found, None)
             if frame is None:
                 return

@@ -3,18 +3,16 @@ network, extensions and settings are closed before the first statement."""
 
 from __future__ import annotations
 
-import contextlib
 import json
 import re
-import resource
 import time
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.io.provenance import plain_json
+from touchdown.sim.files.child import limited_memory
 
 if TYPE_CHECKING:
     import duckdb
@@ -82,7 +80,8 @@ def run_sql(directory: Path, sql: str) -> QueryResult:
 
     connection = connect(directory)
     try:
-        with _limited_memory(), ThreadPoolExecutor(1) as pool:
+        # DuckDB's own limit does not cover strings.
+        with limited_memory(MEMORY_BYTES), ThreadPoolExecutor(1) as pool:
             found = pool.submit(_fetched, connection, sql)
             try:
                 return found.result()
@@ -93,20 +92,6 @@ def run_sql(directory: Path, sql: str) -> QueryResult:
                 raise
     except (duckdb.Error, MemoryError, UnicodeError, UsageError) as error:
         raise UsageError(f"query of '{directory}': {_message(error)}") from error
-
-
-@contextlib.contextmanager
-def _limited_memory() -> Iterator[None]:
-    """Bounds what this process allocates: DuckDB's own limit does not cover strings."""
-    import psutil
-
-    soft, hard = resource.getrlimit(resource.RLIMIT_DATA)
-    maximum = psutil.Process().memory_info().data + MEMORY_BYTES
-    resource.setrlimit(resource.RLIMIT_DATA, (maximum, hard))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_DATA, (soft, hard))
 
 
 def _fetched(connection: duckdb.DuckDBPyConnection, sql: str) -> QueryResult:

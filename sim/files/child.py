@@ -16,7 +16,7 @@ import signal
 import sys
 import traceback
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any, NoReturn, TypeVar, cast
 
 import psutil
@@ -113,6 +113,20 @@ def _limit() -> None:
         maximum = maximum if hard == resource.RLIM_INFINITY else min(maximum, hard)
         resource.setrlimit(kind, (maximum, hard))
     sys.addaudithook(_refuse_sockets)
+
+
+@contextlib.contextmanager
+def limited_memory(more_bytes: int) -> Iterator[None]:
+    """Lets this process take ``more_bytes`` beyond what it has; MemoryError after that."""
+    before, most = resource.getrlimit(resource.RLIMIT_DATA)
+    info = psutil.Process().memory_info()
+    wanted = getattr(info, "data", info.rss) + more_bytes
+    least = min(one for one in (wanted, before, most) if one != resource.RLIM_INFINITY)
+    resource.setrlimit(resource.RLIMIT_DATA, (least, most))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_DATA, (before, most))
 
 
 def _refuse_sockets(event: str, _arguments: tuple[Any, ...]) -> None:
