@@ -1,10 +1,4 @@
-"""The schema of the configuration; files and options override its defaults.
-
-Order of precedence, lowest first: the defaults of the ``*Params`` dataclasses in the ``api.py``
-files, the profile, the preset, a TOML file (or the ``config.json`` of an earlier run),
-``--set a.b=c``, explicit options.
-Every mistake is a ``UsageError`` with one line: what is wrong, where, what would be right.
-"""
+"""The schema of the configuration, whose defaults files and options override: see `loading`."""
 
 from typing import Any, ClassVar, Literal
 

@@ -33,8 +33,8 @@ _ALIKE: Mapping[str, frozenset[str]] = {
 
 
 def suggestion(key: str, keys: Iterable[str]) -> str:
-    """The hint for a key that is unknown, `` (did you mean 'x'?)`` or what does it where no key
-    does; "" where nothing is near. ``keys``: those that there are."""
+    """The hint `` (did you mean 'x'?)`` for a key that is unknown; "" where nothing is near.
+    ``keys``: those that there are."""
     known = list(keys)
     if found := difflib.get_close_matches(key, known, n=1, cutoff=_TYPING_ERROR):
         return f" (did you mean '{found[0]}'?)"
