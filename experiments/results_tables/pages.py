@@ -73,8 +73,6 @@ def _origin(names: Sequence[str], record: Record) -> str:
     """The revision and the plans of the flights of a table."""
     entries = [record[name] for name in names]
     plans = "`make results`: " + ", ".join(f"`configs/{name}.toml`" for name in names)
-    if any("unit" not in row for entry in entries for row in entry["rows"]):
-        plans = "the plans of that revision, with draws keyed by the seed alone"
     hours = sum(entry["core_hours"] for entry in entries)
     return (
         f"*Flown at revision `{entries[0]['revision'][:12]}`, "

@@ -215,10 +215,6 @@ def test_the_file_and_the_pages_state_revision_and_plan(tmp_path: Path) -> None:
     assert "| all scenes | 100 | 100 | 0 |" in text and "| all scenes | 40 | 40 | 0 |" in text
     assert "](../images/chosen_ground.svg)" in text and "LANDED ()" not in text
     assert "reason" not in entry["rows"][0]
-    old = {"landing": entry | {"rows": [{k: v for k, v in one.items() if k != "unit"}
-                                        for one in entry["rows"]]}}  # fmt: skip
-    told = written(text, "docs/results/field.md", old)
-    assert "2031-02-03, by the plans of that revision, with draws keyed by the seed alone" in told
     assert "Not flown yet: `make results` flies `configs/wind.toml`" in text
     assert written(text, "docs/results/field.md", read_record(root)) == text
     edited = text.replace("| all scenes | 100 | 100 | 0 |", "| all scenes | 100 | 99 | 0 |")
