@@ -20,8 +20,6 @@ from touchdown.experiments.errors import UsageError, nearest
 
 KEY = "profile"
 """The key that names the profile."""
-EFFECTS_KEY = "harsh_effects"
-"""The key that names effects at the level of `harsh`."""
 DEFAULT = BASES[KEY]
 """The profile of a flight that names none."""
 BEFORE_PROFILES = "ideal"
@@ -102,7 +100,7 @@ def base_values(values: Mapping[str, Any]) -> dict[str, Any]:
     UsageError for a vehicle that cannot fly, and a rig that is none."""
     lower = {
         **profile_values(base_in(values, KEY)),
-        **effect_values(values.get(EFFECTS_KEY)),
+        **effect_values(values.get("harsh_effects")),
         **preset_values(base_in(values, PRESET_KEY)),
     }
     lower |= scene_values(values)

@@ -6,12 +6,11 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
-from touchdown.experiments.config.keys import WITHOUT_EFFECT, flatten
+from touchdown.experiments.config.keys import BASES, WITHOUT_EFFECT, flatten
 from touchdown.experiments.config.loading import default_values, dump_config
 from touchdown.experiments.config.profiles import DEFAULT, WHOLE, chosen_by_hand
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.config.slots import MODE_KEY
-from touchdown.scenes.api import DEFAULT_VEHICLE
 
 NAMED = ("scene", "seed", "estimator", "profile", "preset")
 """Keys that are fields of a result."""
@@ -25,11 +24,8 @@ def settings_of(config: Config) -> dict[str, Any]:
     flight."""
     values = dict(flatten(json.loads(dump_config(config))))
     chosen = chosen_by_hand(values, dict(default_values()))
-    if config.vehicle == DEFAULT_VEHICLE:
-        chosen.pop("vehicle", None)
-    if not config.rig:
-        chosen.pop("rig", None)
-    return {k: v for k, v in chosen.items() if k not in NAMED and not k.startswith(WITHOUT_EFFECT)}
+    told = (*NAMED, *(key for key, usual in BASES.items() if chosen.get(key) == usual))
+    return {k: v for k, v in chosen.items() if k not in told and not k.startswith(WITHOUT_EFFECT)}
 
 
 def identity_of(config: Config) -> dict[str, Any]:
