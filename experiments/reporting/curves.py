@@ -87,12 +87,12 @@ def _method(row: Mapping[Any, Any]) -> str:
 
 def _events(frame: pd.DataFrame) -> dict[str, Any]:
     empty = pd.Series(index=frame.index, dtype=object)
-    on_safe = frame.get("ground_safe", empty).eq(True)
+    safe = (frame["outcome"] == "LANDED") & frame.get("ground_safe", empty).eq(True)
     down = frame["outcome"].isin(["LANDED", "TIPPED"])
     missed = pd.to_numeric(frame.get("choice.missed.safe_m2", empty), errors="coerce") > 0.0
     return {
-        "safe": (frame["outcome"] == "LANDED") & on_safe,
-        "unsafe": down & ~((frame["outcome"] == "LANDED") & on_safe),
+        "safe": safe,
+        "unsafe": down & ~safe,
         "missed": (frame["outcome"] == "NO_SITE") & missed,
     }
 
