@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from touchdown.scenes.api import Array
 from touchdown.scenes.authoring.plane import SQUARE, unit_circle
@@ -25,28 +25,48 @@ class MeshData:
 
     @staticmethod
     def join(parts: list["MeshData"]) -> "MeshData":
-        """One mesh out of several."""
+        """One mesh out of several, with normals where all have them."""
         offsets = np.cumsum([0] + [len(part.vertices) for part in parts[:-1]])
+        normals = [part.normals for part in parts if part.normals is not None]
         return MeshData(
             vertices=np.concatenate([part.vertices for part in parts]),
             faces=np.concatenate(
                 [part.faces + offset for part, offset in zip(parts, offsets, strict=True)]
             ).astype(np.int32),
             uv=np.concatenate([part.uv for part in parts]),
+            normals=np.concatenate(normals) if len(normals) == len(parts) else None,
         )
 
     def moved(self, offset: Array) -> "MeshData":
+        """The mesh elsewhere, with MuJoCo's normals."""
         return MeshData(vertices=self.vertices + offset, faces=self.faces, uv=self.uv)
 
 
-def polygon(corners: Array, uv: Array) -> MeshData:
+def polygon(corners: Array, uv: ArrayLike = 0.0) -> MeshData:
     """A flat convex polygon, (K, 3) corners counter-clockwise from outside, with its own vertices
-    (so that it is shaded flat)."""
+    (so that it is shaded flat). uv: (K, 2), or what is the same at all corners."""
     count = len(corners)
     fan = np.array([[0, i, i + 1] for i in range(1, count - 1)], np.int32)
     return MeshData(
-        vertices=np.asarray(corners, np.float64), faces=fan, uv=np.asarray(uv, np.float64)
+        vertices=np.asarray(corners, np.float64),
+        faces=fan,
+        uv=np.array(np.broadcast_to(uv, (count, 2)), np.float64),
     )
+
+
+def walls(lower: Array, upper: Array, uv: ArrayLike = 0.0) -> list[MeshData]:
+    """Flat quads between two closed outlines, (K, 3) each, counter-clockwise from the side of
+    ``upper``."""
+    quads = np.stack([lower, np.roll(lower, -1, 0), np.roll(upper, -1, 0), upper], axis=1)
+    return [polygon(quad, uv) for quad in quads]
+
+
+def plaque(half_m: Sequence[float], body: MeshData, z_m: float = 0.0, copies: int = 1) -> MeshData:
+    """A level rectangle that shows the whole texture, with ``copies`` of it along either side, on
+    ``body``; its corners are the first four vertices."""
+    corners = np.column_stack([SQUARE * half_m, np.full(4, z_m)])
+    uv = copies * np.array([[0.0, 1.0], [1.0, 1.0], [1.0, 0.0], [0.0, 0.0]])
+    return MeshData.join([polygon(corners, uv), body])
 
 
 def box(
@@ -79,7 +99,7 @@ def plate(corners: Sequence[Sequence[float]] | Array, thick_m: float = 0.0) -> l
     the upper one the lower side is."""
     upper = np.asarray(corners, np.float64)
     lower = upper[::-1] - [0.0, 0.0, thick_m] if thick_m else upper[::-1]
-    return [polygon(side, np.zeros((len(upper), 2))) for side in (upper, lower)]
+    return [polygon(side) for side in (upper, lower)]
 
 
 def cylinder_y(radius: float, half_width: float, centre: Array, uv: Array, sides: int) -> MeshData:
@@ -88,12 +108,7 @@ def cylinder_y(radius: float, half_width: float, centre: Array, uv: Array, sides
     ring = np.stack([ahead, np.zeros(sides), up], axis=-1)
     aside = np.array([0.0, half_width, 0.0])
     left, right = ring + aside, ring - aside
-    parts = []
-    for i in range(sides):
-        j = (i + 1) % sides
-        parts.append(
-            polygon(np.array([left[i], left[j], right[j], right[i]]), np.tile(uv[0], (4, 1)))
-        )
+    parts = walls(left, right, uv[0])
     for side, order in ((left, -1), (right, 1)):
         hub = side[0] * [0.0, 1.0, 0.0]
         loop = side[::order]
@@ -114,13 +129,7 @@ def blob(
     """A lumpy closed surface: the superellipsoid ``sum |x_i / half_i|**exponent = 1`` (2: an
     ellipsoid, 8: a box with round edges), displaced along the radius by ``roughness`` (fraction of
     it). Texture: laid on from above and down the sides, ``metres_per_uv`` metres a texture."""
-    sectors = 2 * rings
-    polar = np.linspace(0.0, np.pi, rings + 1)
-    azimuth = np.linspace(0.0, 2.0 * np.pi, sectors + 1)
-    theta, phi = np.meshgrid(polar, azimuth, indexing="ij")
-    unit = np.stack(
-        [np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], axis=-1
-    )
+    unit = sphere_grid(rings)
     half = np.asarray(half, np.float64)
     # Directions evenly spread on the box-like shape, not on the sphere that it is stretched from.
     norm = (np.abs(unit) ** exponent).sum(axis=-1) ** (1.0 / exponent)
@@ -131,6 +140,13 @@ def blob(
     lumps[:, -1] = lumps[:, 0]
     vertices = shape * half * (1.0 + roughness * lumps / 1.3)[..., None]
     return wrapped(rng, vertices, metres_per_uv)
+
+
+def sphere_grid(rings: int) -> Array:
+    """(rings + 1, 2 rings + 1, 3) points of the unit sphere as `wrapped` takes them."""
+    azimuth = np.linspace(0.0, 2.0 * np.pi, 2 * rings + 1)
+    theta, phi = np.meshgrid(np.linspace(0.0, np.pi, rings + 1), azimuth, indexing="ij")
+    return np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], -1)
 
 
 def wrapped(rng: np.random.Generator, vertices: Array, metres_per_uv: float) -> MeshData:

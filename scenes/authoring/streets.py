@@ -220,14 +220,13 @@ def _kerb_run(
     ground = builder.terrain.at(np.array([street.point(float(s), beside) for s in stations]))
     high, low = ground + top, ground - 0.3
     parts = []
-    no_texture = np.zeros((4, 2))
     for i, j in pairwise(range(len(stations))):
         a, b = np.append(inner[i], high[i]), np.append(inner[j], high[j])
         c, d = np.append(outer[j], high[j]), np.append(outer[i], high[i])
-        parts.append(polygon(np.array([a, b, c, d]), no_texture))
+        parts.append(polygon(np.array([a, b, c, d])))
         for first, second, z0, z1 in ((b, a, low[j], low[i]), (d, c, low[i], low[j])):
             foot = np.array([[*second[:2], z1], [*first[:2], z0]])
-            parts.append(polygon(np.array([first, second, *foot]), no_texture))
+            parts.append(polygon(np.array([first, second, *foot])))
     return parts
 
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from touchdown.scenes.api import Array, Surface
 from touchdown.scenes.authoring.builder import SceneBuilder
-from touchdown.scenes.authoring.meshes import MeshData, boxes, polygon
+from touchdown.scenes.authoring.meshes import MeshData, boxes, polygon, walls
 from touchdown.scenes.authoring.plane import pick, unit, unit_circle
 from touchdown.scenes.authoring.textures import planks
 from touchdown.scenes.props.houses import gable_roof_mesh, wall_mesh
@@ -75,12 +75,8 @@ def drum(radius: float, low: float, high: float, sides: int = 16) -> MeshData:
     """A closed upright cylinder."""
     ring = radius * unit_circle(sides)
     lower, upper = (np.column_stack([ring, np.full(sides, z)]) for z in (low, high))
-    parts = [polygon(upper, ring), polygon(lower[::-1], ring[::-1])]
-    for i in range(sides):
-        j = (i + 1) % sides
-        wall = np.array([lower[i], lower[j], upper[j], upper[i]])
-        parts.append(polygon(wall, np.zeros((4, 2))))
-    return MeshData.join(parts)
+    lids = [polygon(upper, ring), polygon(lower[::-1], ring[::-1])]
+    return MeshData.join([*lids, *walls(lower, upper)])
 
 
 def add_trampoline(builder: SceneBuilder, xy_m: Array) -> None:
@@ -166,8 +162,8 @@ def _tuft(foot: Array, wide: float, high: float) -> MeshData:
     parts = []
     for i in range(5):
         j = (i + 1) % 5
-        parts.append(polygon(np.array([ring[i], ring[j], tip]), np.zeros((3, 2))))
-        parts.append(polygon(np.array([ring[j], ring[i], root]), np.zeros((3, 2))))
+        parts.append(polygon(np.array([ring[i], ring[j], tip])))
+        parts.append(polygon(np.array([ring[j], ring[i], root])))
     return MeshData.join(parts)
 
 

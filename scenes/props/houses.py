@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from touchdown.scenes.api import Array, Surface
 from touchdown.scenes.authoring.builder import SceneBuilder, turned
-from touchdown.scenes.authoring.meshes import MeshData, box, polygon
+from touchdown.scenes.authoring.meshes import MeshData, box, plaque, polygon
 from touchdown.scenes.authoring.plane import pick
 from touchdown.scenes.authoring.textures import Colour, facade_bay, flat_roof, roof_tiles
 
@@ -121,7 +121,7 @@ def wall_mesh(size_m: tuple[float, float, float], ridge_m: float) -> MeshData:
             peak = max(0.99 - 0.5 * ridge_m / STOREY_M, 0.51)
             parts.append(polygon(gable, np.array([[0.0, 0.99], [bays, 0.99], [0.5 * bays, peak]])))
     top = np.array([[-x, -y, height], [x, -y, height], [x, y, height], [-x, y, height]])
-    parts.append(polygon(top, np.full((4, 2), 0.8)))
+    parts.append(polygon(top, 0.8))
     return MeshData.join(parts)
 
 
@@ -137,16 +137,16 @@ def gable_roof_mesh(length: float, width: float, ridge_m: float, eaves_m: float)
                           [-sign * x, 0.0, ridge_m], [sign * x, 0.0, ridge_m]])  # fmt: skip
         uv = np.array([[0.0, first + 0.49], [1.0, first + 0.49], [1.0, first], [0.0, first]])
         parts.append(polygon(slope + np.array([0.0, 0.0, thick]), uv))
-        parts.append(polygon(slope[::-1], np.full((4, 2), 0.01)))
+        parts.append(polygon(slope[::-1], 0.01))
         edge = slope[[0, 1]]
         fascia = np.array([edge[1], edge[0], edge[0] + [0, 0, thick], edge[1] + [0, 0, thick]])
-        parts.append(polygon(fascia, np.full((4, 2), 0.01)))
+        parts.append(polygon(fascia, 0.01))
     for sign in (1.0, -1.0):
         for half in (1.0, -1.0):
             top = np.array([[sign * x, half * y, low], [sign * x, 0.0, ridge_m]])
             quad = np.array([top[0], top[1], top[1] + [0, 0, thick], top[0] + [0, 0, thick]])
             verge = quad if sign * half < 0 else quad[::-1]
-            parts.append(polygon(verge, np.full((4, 2), 0.01)))
+            parts.append(polygon(verge, 0.01))
     return MeshData.join(parts)
 
 
@@ -168,7 +168,7 @@ def hip_roof_mesh(length: float, width: float, ridge_m: float, eaves_m: float) -
         wide = y / x
         parts.append(polygon(hip, np.array([[0.0, 0.49], [wide, 0.49], [0.5 * wide, 0.0]])))
     soffit = np.array([[-x, -y, low], [-x, y, low], [x, y, low], [x, -y, low]])
-    parts.append(polygon(soffit, np.full((4, 2), 0.01)))
+    parts.append(polygon(soffit, 0.01))
     return MeshData.join(parts)
 
 
@@ -229,10 +229,8 @@ def _add_flat_roof(builder: SceneBuilder, house: House, name: str, origin: Array
     length, width, height = house.size_m
     material = builder.material(f"{name}_roof", flat_roof(rng, (length, width), 48.0))
     x, y = 0.5 * length, 0.5 * width
-    deck = np.array([[-x, -y, 0.06], [x, -y, 0.06], [x, y, 0.06], [-x, y, 0.06]])
-    uv = np.array([[0.0, 1.0], [1.0, 1.0], [1.0, 0.0], [0.0, 0.0]])
     body = box((x, y, 0.025), (0.0, 0.0, 0.025), 1e3)
-    mesh = builder.mesh(f"{name}_roof", MeshData.join([polygon(deck, uv), body]))
+    mesh = builder.mesh(f"{name}_roof", plaque((x, y), body, 0.06))
     at = origin + np.array([0.0, 0.0, height])
     builder.geom("building_roof", FLAT_ROOF, mesh=mesh, material=material, pos=at,
                  heading=house.angle)  # fmt: skip

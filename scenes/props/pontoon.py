@@ -3,8 +3,9 @@
 import numpy as np
 
 from touchdown.scenes.api import Array, Image, Surface
-from touchdown.scenes.authoring.builder import GEOM, SceneBuilder
+from touchdown.scenes.authoring.builder import SceneBuilder
 from touchdown.scenes.authoring.noise import fractal_noise
+from touchdown.scenes.authoring.plots import Plot
 from touchdown.scenes.authoring.textures import to_texture
 from touchdown.scenes.props import waterside
 
@@ -15,33 +16,29 @@ def place_pontoon(builder: SceneBuilder) -> None:
     """Adds a concrete work pontoon with a painted circle, bollards, a rail and crates."""
     rng = builder.rng
     size = (float(rng.uniform(9.0, 12.0)), float(rng.uniform(6.2, 7.4)))
-    deck = waterside.Deck(centre_xy_m=np.zeros(2), angle=float(rng.uniform(-0.6, 0.6)), size_m=size,
-                top_m=0.0, thick_m=0.9)  # fmt: skip
+    plot = Plot(origin_xy_m=np.zeros(2), angle=float(rng.uniform(-0.6, 0.6)))
+    deck = waterside.Deck(plot=plot, size_m=size, top_m=0.0, thick_m=0.9)
     waterside.add_deck(builder, deck, _concrete(rng, size), CONCRETE)
     builder.claim(np.zeros(2), 0.7 * max(size))
     x, y = 0.5 * size[0], 0.5 * size[1]
-    corners = deck.points(np.array([[sx * (x - 0.3), sy * (y - 0.3)]
-                                    for sx in (-1, 1) for sy in (-1, 1)]))  # fmt: skip
-    for corner in corners:
-        builder.geom("bollard", waterside.PILE, type=GEOM.mjGEOM_CYLINDER, size=[0.12, 0.2, 0],
+    for corner in [plot.at(sx * (x - 0.3), sy * (y - 0.3)) for sx in (-1, 1) for sy in (-1, 1)]:
+        builder.geom("bollard", waterside.PILE, cylinder=(0.12, 0.2),
                      pos=[*corner, 0.18], rgba=[0.80, 0.64, 0.12, 1])  # fmt: skip
-        square_shadow(builder, corner, 0.12, 0.0, 0.36)
+        square_shadow(builder, corner, 0.12, 0.36)
     side = -1.0 if rng.random() < 0.5 else 1.0
-    posts = deck.points(
-        np.array([[side * (x - 0.1), t] for t in np.linspace(-y + 0.8, y - 0.8, 4)])
-    )
+    posts = [plot.at(side * (x - 0.1), t) for t in np.linspace(-y + 0.8, y - 0.8, 4)]
     for post in posts:
         builder.geom("rail_post", waterside.PILE, capsule=0.03,
                      fromto=[*post, 0.0, *post, 1.05], rgba=[0.86, 0.86, 0.84, 1])  # fmt: skip
-        square_shadow(builder, post, 0.03, 0.0, 1.05)
+        square_shadow(builder, post, 0.03, 1.05)
     for height in (0.55, 1.05):
         builder.geom("rail", waterside.PILE, capsule=0.025, rgba=[0.86, 0.86, 0.84, 1],
                      fromto=[*posts[0], height, *posts[-1], height])  # fmt: skip
     for index in range(int(rng.integers(1, 4))):
-        spot = deck.points(np.array([[-side * (x - 0.8), -y + 1.0 + 1.3 * index]]))[0]
+        spot = plot.at(-side * (x - 0.8), -y + 1.0 + 1.3 * index)
         half = rng.uniform([0.35, 0.3, 0.25], [0.5, 0.45, 0.45])
         builder.geom("crate", waterside.PILE, box=half, pos=[*spot, half[2]],
-                     heading=deck.angle + rng.uniform(-0.3, 0.3),
+                     heading=plot.angle + rng.uniform(-0.3, 0.3),
                      rgba=[0.30, 0.36 + 0.08 * index, 0.46, 1])  # fmt: skip
 
 
@@ -65,10 +62,6 @@ def _concrete(rng: np.random.Generator, size_m: tuple[float, float]) -> Image:
     return to_texture(image)
 
 
-def square_shadow(
-    builder: SceneBuilder, xy_m: Array, half_m: float, low_m: float, top_m: float
-) -> None:
-    """Registers an upright post of square section as a caster."""
-    corners = [[sx * half_m, sy * half_m, z] for sx in (-1, 1) for sy in (-1, 1)
-               for z in (low_m, top_m)]  # fmt: skip
-    builder.cast(np.array([*xy_m, 0.0]) + np.array(corners))
+def square_shadow(builder: SceneBuilder, xy_m: Array, half_m: float, top_m: float) -> None:
+    """Registers an upright post of square section as a caster, from height 0 up."""
+    builder.cast_box((half_m, half_m), (0.0, top_m), 0.0, np.array([*xy_m, 0.0]))

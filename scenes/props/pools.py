@@ -112,7 +112,7 @@ def _prism(outline: Array, uv: Array, hub_uv: Array, low: float, high: float) ->
     parts = [lid]
     for i in range(count):
         j = (i + 1) % count
-        parts.append(polygon(np.array([foot[i], foot[j], rim[j], rim[i]]), np.tile(uv[i], (4, 1))))
+        parts.append(polygon(np.array([foot[i], foot[j], rim[j], rim[i]]), uv[i]))
     return MeshData.join(parts)
 
 
@@ -123,15 +123,14 @@ def _ring(outline: Array, width: float, high: float) -> MeshData:
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     outer = outline + width * normal
     parts = []
-    blank = np.zeros((4, 2))
     for i in range(len(outline)):
         j = (i + 1) % len(outline)
         a, b = np.append(outline[i], high), np.append(outline[j], high)
         c, d = np.append(outer[j], high), np.append(outer[i], high)
         down = np.array([0.0, 0.0, high + 0.2])
-        parts.append(polygon(np.array([b, a, d, c]), blank))
-        parts.append(polygon(np.array([a, b, b - down, a - down]), blank))
-        parts.append(polygon(np.array([c, d, d - down, c - down]), blank))
+        parts.append(polygon(np.array([b, a, d, c])))
+        parts.append(polygon(np.array([a, b, b - down, a - down])))
+        parts.append(polygon(np.array([c, d, d - down, c - down])))
     return MeshData.join(parts)
 
 
@@ -201,7 +200,7 @@ def lounger_mesh() -> MeshData:
         top = np.array([[x0, -0.32, z0], [x1, -0.32, z1], [x1, 0.32, z1], [x0, 0.32, z0]])
         uv = np.array([[(x + 0.95) / 1.9, 0.0 if y < 0 else 1.0] for x, y, _ in top])
         parts.append(polygon(top, uv))
-        parts.append(polygon(top[::-1] - [0.0, 0.0, 0.05], np.full((4, 2), 0.01)))
+        parts.append(polygon(top[::-1] - [0.0, 0.0, 0.05], 0.01))
     for x in (-0.8, 0.5):
         parts.append(box((0.03, 0.30, 0.14), (x, 0.0, 0.13), 1e3))
     return MeshData.join(parts)
@@ -294,8 +293,8 @@ def add_water_slide(builder: SceneBuilder, foot_xy_m: Array, heading: float) -> 
     for i in range(6):
         x0, x1, z0, z1 = -run * steps[i], -run * steps[i + 1], heights[i], heights[i + 1]
         floor = np.array([[x1, -0.45, z1], [x0, -0.45, z0], [x0, 0.45, z0], [x1, 0.45, z1]])
-        parts.append(polygon(floor, np.zeros((4, 2))))
-        parts.append(polygon(floor[::-1] - [0, 0, 0.08], np.zeros((4, 2))))
+        parts.append(polygon(floor))
+        parts.append(polygon(floor[::-1] - [0, 0, 0.08]))
         for side in (-0.45, 0.45):
             wall = np.array(
                 [[x1, side, z1], [x0, side, z0], [x0, side, z0 + 0.4], [x1, side, z1 + 0.4]]
@@ -306,7 +305,7 @@ def add_water_slide(builder: SceneBuilder, foot_xy_m: Array, heading: float) -> 
     deck = np.array([*top, z + 3.9])
     builder.geom("slide_tower", WOOD, box=[1.1, 1.1, 0.06], pos=deck,
                  heading=heading, rgba=[0.80, 0.80, 0.78, 1])  # fmt: skip
-    builder.cast(deck + [[sx * 1.1, sy * 1.1, 0.0] for sx in (-1, 1) for sy in (-1, 1)])
+    builder.cast_box((1.1, 1.1), (0.0,), 0.0, deck)
     left = np.array([-back[1], back[0]])
     for sx in (-0.9, 0.9):
         for sy in (-0.9, 0.9):

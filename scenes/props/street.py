@@ -67,8 +67,7 @@ def add_bin(builder: SceneBuilder, xy_m: Array, rgba: list[float]) -> None:
     """Adds a wheeled bin or a litter bin."""
     at = builder.on_ground(xy_m, 0.5)
     builder.geom("bin", STEEL, rgba=rgba, pos=at, box=[0.28, 0.33, 0.52])
-    signs = np.array([[x, y, h] for x in (-1, 1) for y in (-1, 1) for h in (-1, 1)], np.float64)
-    builder.cast(at + signs * [0.28, 0.33, 0.52])
+    builder.cast_box((0.28, 0.33), (-0.52, 0.52), 0.0, at)
     builder.claim(xy_m, 0.6)
 
 

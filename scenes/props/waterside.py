@@ -1,6 +1,6 @@
 """Reeds, decks on piles, boats, buoys and objects of a shore."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -8,9 +8,10 @@ from numpy.typing import NDArray
 
 from touchdown.scenes.api import Array, Image, Surface
 from touchdown.scenes.authoring.builder import SceneBuilder, quat_z, turned
-from touchdown.scenes.authoring.meshes import MeshData, blob, box, polygon
+from touchdown.scenes.authoring.meshes import MeshData, blob, box, plaque, polygon
 from touchdown.scenes.authoring.noise import fractal_noise
 from touchdown.scenes.authoring.plane import draw_heading, left_of, pick, unit_circle
+from touchdown.scenes.authoring.plots import Plot
 from touchdown.scenes.authoring.textures import Colour, to_texture
 
 REED = Surface(land_class="trees", reflectivity=0.40, porosity=0.45, spread=0.25)
@@ -118,36 +119,27 @@ def planks(
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Deck:
-    """A level platform. size_m: length along ``angle`` and width; top_m: world height."""
+    """A level platform. plot: from its middle, u along it; size_m: length and width; top_m: world
+    height."""
 
-    centre_xy_m: Array
-    angle: float
+    plot: Plot
     size_m: tuple[float, float]
     top_m: float
     thick_m: float = 0.14
-
-    def points(self, local: Array) -> Array:
-        """(N, 2) metres along and across -> (N, 2) world."""
-        at = np.array([*self.centre_xy_m, 0.0])
-        flat = np.column_stack([np.asarray(local), np.zeros(len(local))])
-        return turned(flat, self.angle, at)[:, :2]
 
 
 def add_deck(builder: SceneBuilder, deck: Deck, image: Image, surface: Surface = DECK) -> None:
     """Adds the platform with ``image`` on top."""
     name = builder.unique("deck")
     x, y = 0.5 * deck.size_m[0], 0.5 * deck.size_m[1]
-    top = np.array([[-x, -y, 0.0], [x, -y, 0.0], [x, y, 0.0], [-x, y, 0.0]])
-    uv = np.array([[0.0, 1.0], [1.0, 1.0], [1.0, 0.0], [0.0, 0.0]])
     # Under the texture, so that the two tops do not coincide.
     body = box((x, y, 0.5 * deck.thick_m), (0, 0, -0.5 * deck.thick_m - 0.002))
     shade = np.column_stack([0.02 + 0.01 * (body.uv[:, 0] % 1.0), np.full(len(body.uv), 0.5)])
-    skirt = MeshData(vertices=body.vertices, faces=body.faces, uv=shade)
-    mesh = builder.mesh(name, MeshData.join([polygon(top, uv), skirt]))
-    material = builder.material(name, image)
-    origin = np.array([*deck.centre_xy_m, deck.top_m])
-    builder.geom("path_deck", surface, mesh=mesh, material=material, pos=origin, heading=deck.angle)
-    builder.cast(turned(top, deck.angle, origin))
+    data = plaque((x, y), replace(body, uv=shade))
+    mesh, material = builder.mesh(name, data), builder.material(name, image)
+    origin, angle = np.array([*deck.plot.origin_xy_m, deck.top_m]), deck.plot.angle
+    builder.geom("path_deck", surface, mesh=mesh, material=material, pos=origin, heading=angle)
+    builder.cast(turned(data.vertices[:4], angle, origin))
 
 
 def add_pile(builder: SceneBuilder, xy_m: Array, top_m: float, radius_m: float = 0.09) -> None:
@@ -172,8 +164,7 @@ def add_net(builder: SceneBuilder, xy_m: Array, heading: float) -> None:
                  pos=[*xy_m, z + 1.98], rgba=[0.16, 0.17, 0.2, 0.45])  # fmt: skip
     builder.geom("net_tape", SIGN, box=[0.02, 4.7, 0.04], quat=turn,
                  pos=[*xy_m, z + 2.43], rgba=[0.95, 0.95, 0.92, 1])  # fmt: skip
-    top = np.array([[0.03 * sx, 4.7 * sy, 2.43] for sx in (-1, 1) for sy in (-1, 1)])
-    builder.cast(turned(top, heading, np.array([*xy_m, z])))
+    builder.cast_box((0.03, 4.7), (2.43,), heading, np.array([*xy_m, z]))
     builder.claim(xy_m, 5.2)
 
 
@@ -225,7 +216,7 @@ def hull_mesh(length_m: float, width_m: float, rim_m: float, decked: bool) -> Me
         centre = np.array([(at - 0.5) * length_m, 0.0, 0.78 * rim_m])
         seat = box(np.array([0.13, beam, 0.02]), centre)
         uv = np.column_stack([seat.uv[:, 0], np.full(len(seat.uv), 0.93)])
-        parts.append(MeshData(vertices=seat.vertices, faces=seat.faces, uv=uv))
+        parts.append(replace(seat, uv=uv))
     return MeshData.join(parts)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from touchdown.scenes.api import Array, Image, Surface
 from touchdown.scenes.authoring.builder import SceneBuilder
-from touchdown.scenes.authoring.meshes import MeshData, wrapped
+from touchdown.scenes.authoring.meshes import MeshData, sphere_grid, wrapped
 from touchdown.scenes.authoring.noise import fractal_noise
 from touchdown.scenes.authoring.plane import draw_heading, pick, unit_ball, unit_circle
 from touchdown.scenes.authoring.textures import (
@@ -37,7 +37,7 @@ def conifer_mesh(rng: np.random.Generator, height_m: float, radius_m: float) -> 
             top = height_m
         radius = radius_m * (1.0 - fraction) ** 0.85
         parts.append(_whorl(rng, base, top, radius, spikes))
-    return joined(parts)
+    return MeshData.join(parts)
 
 
 def _whorl(
@@ -74,26 +74,13 @@ def _whorl(
     )
 
 
-def joined(parts: list[MeshData]) -> MeshData:
-    """`MeshData.join` that keeps the normals."""
-    whole = MeshData.join(parts)
-    normals = [part.normals for part in parts if part.normals is not None]
-    return MeshData(
-        vertices=whole.vertices, faces=whole.faces, uv=whole.uv, normals=np.concatenate(normals)
-    )
-
-
 def canopy_mesh(
     rng: np.random.Generator, half: Array, rings: int, metres_per_uv: float
 ) -> MeshData:
     """Returns a crown like a cauliflower: seen from its middle, the farthest wall of a dozen balls
     that lie around it. half: (3,) half axes in metres."""
-    theta, phi = np.meshgrid(np.linspace(0.0, np.pi, rings + 1), np.linspace(0.0, 2.0 * np.pi,
-                             2 * rings + 1), indexing="ij")  # fmt: skip
-    unit = np.stack(
-        [np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], axis=-1
-    )
-    reach = np.full(theta.shape, 0.62)
+    unit = sphere_grid(rings)
+    reach = np.full(unit.shape[:2], 0.62)
     count = 13
     height = np.linspace(0.95, -0.55, count) + rng.uniform(-0.08, 0.08, count)
     azimuth = 2.4 * np.arange(count) + rng.uniform(-0.4, 0.4, count)
@@ -134,7 +121,7 @@ def lathe(rng: np.random.Generator, profile: Array, sides: int, wobble: float) -
         fan = [[0, i, i + 1] for i in range(1, sides - 1)]
         parts.append(MeshData(vertices=points, faces=np.array(fan, np.int32), uv=uv,
                               normals=np.tile([0.0, 0.0, way], (sides, 1))))  # fmt: skip
-    return joined(parts)
+    return MeshData.join(parts)
 
 
 def needles(rng: np.random.Generator, base: Colour) -> Image:

@@ -12,7 +12,7 @@ from touchdown.scenes.authoring import water
 from touchdown.scenes.authoring.builder import GEOM, SceneBuilder, fill_texture, quat_z
 from touchdown.scenes.authoring.draft import SceneDraft
 from touchdown.scenes.authoring.generation import finish, scene_rng, start_scene
-from touchdown.scenes.authoring.meshes import MeshData, box, polygon
+from touchdown.scenes.authoring.meshes import MeshData, box, plaque
 from touchdown.scenes.authoring.noise import fractal_noise, tileable_noise
 from touchdown.scenes.authoring.plots import SurveyFrame
 from touchdown.scenes.authoring.relief import HeightField
@@ -141,10 +141,8 @@ def _add_deck(builder: SceneBuilder, body: Any, carrier: Carrier, tag_m: float) 
     at = np.array([carrier.deck_x_m, 0.0, carrier.top_m])
     builder.geom("plate", carrier.surface, body, name="deck_plate", box=[x, y, 0.1],
                  pos=at - [0.0, 0.0, 0.1], rgba=_GREY)  # fmt: skip
-    top = np.array([[-x, -y, 0.0], [x, -y, 0.0], [x, y, 0.0], [-x, y, 0.0]])
-    uv = np.array([[0.0, 1.0], [1.0, 1.0], [1.0, 0.0], [0.0, 0.0]])
     under = box((x, y, 0.01), (0.0, 0.0, -0.012), 1e3)
-    mesh = builder.mesh("deck_top", MeshData.join([polygon(top, uv), under]))
+    mesh = builder.mesh("deck_top", plaque((x, y), under))
     look = builder.material("deck_top", _picture(builder.rng, carrier, tag_m))
     builder.geom("deck_top", carrier.surface, body, mesh=mesh, material=look, contype=0,
                  pos=at + [0.0, 0.0, 0.003])  # fmt: skip
@@ -251,10 +249,8 @@ def _spread(
     """A sheet of 3 x 3 copies of ``image``."""
     copies = 1 + 2 * _TILES
     half = copies * HALF_M
-    top = half * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], np.float64)
-    uv = copies * np.array([[0.0, 1.0], [1.0, 1.0], [1.0, 0.0], [0.0, 0.0]])
     below = box((half, half, 0.25), (0.0, 0.0, -0.252), 1e3)
-    mesh = builder.mesh(name, MeshData.join([polygon(top, uv), below]))
+    mesh = builder.mesh(name, plaque((half, half), below, copies=copies))
     fill_texture(builder.spec.texture("sheet"), image)
     builder.geom(name, surface, name=name, mesh=mesh, material="sheet", pos=[0.0, 0.0, level_m])
 

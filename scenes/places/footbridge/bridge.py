@@ -190,7 +190,7 @@ def slab_mesh(bridge: Bridge, first: float, last: float) -> MeshData:
     low = np.where(np.abs(stations) <= bridge.half_length_m + 1e-6, inner, outer)
     along = (stations + bridge.reach_m) / length
     parts = []
-    rim = np.full((4, 2), 0.004)
+    rim = 0.004
     for i, j in pairwise(range(len(stations))):
         a, b = stations[i], stations[j]
         parts.append(polygon(

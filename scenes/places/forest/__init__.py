@@ -1,5 +1,7 @@
 """`forest`: wooded hills with clearings, a brook and a track."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -228,7 +230,7 @@ def _add_log_pile(builder: SceneBuilder, wood: woods.Wood, plan: layout.Plan) ->
             y = (number - 0.5 * (count - 1)) * 2.04 * radius
             z = radius + row * 1.74 * radius
             parts.append(_laid(log, np.array([0.0, y, z])))
-    mesh = builder.mesh("log_pile", woods.joined(parts))
+    mesh = builder.mesh("log_pile", MeshData.join(parts))
     origin = builder.on_ground(spot, -0.08)
     builder.geom("log_pile", woods.LOG, mesh=mesh, material=wood.bark, pos=origin, heading=heading)
     corners = [[sx * 0.5 * length, sy * (1.1 - 0.5 * h), h] for sx in (-1, 1) for sy in (-1, 1)
@@ -241,9 +243,7 @@ def _laid(log: MeshData, centre: Array) -> MeshData:
     """A lathe's product with its axis along +x."""
     turn = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
     normals = None if log.normals is None else log.normals @ turn.T
-    return MeshData(
-        vertices=log.vertices @ turn.T + centre, faces=log.faces, uv=log.uv, normals=normals
-    )
+    return replace(log, vertices=log.vertices @ turn.T + centre, normals=normals)
 
 
 TREES = 222

@@ -10,7 +10,7 @@ from touchdown.scenes.authoring.draft import SceneDraft
 from touchdown.scenes.authoring.ground import TEXELS, Canvas, Ground
 from touchdown.scenes.authoring.noise import fractal_noise
 from touchdown.scenes.authoring.plane import draw_heading, unit
-from touchdown.scenes.authoring.plots import claim_free
+from touchdown.scenes.authoring.plots import Plot, claim_free
 from touchdown.scenes.authoring.relief import HALF_M, HeightField
 from touchdown.scenes.authoring.water import WaterLook, upsample
 from touchdown.scenes.places.lake import layout
@@ -94,7 +94,9 @@ def _place_jetty(builder: SceneBuilder, around: Surroundings) -> None:
     length, width = float(rng.uniform(12.0, 16.0)), float(rng.uniform(1.7, 2.0))
     top = max(level + 0.5, builder.terrain.point(*root) + 0.04)
     parts = [
-        waterside.Deck(centre_xy_m=root + along * way, angle=angle, size_m=size, top_m=top)
+        waterside.Deck(
+            plot=Plot(origin_xy_m=root + along * way, angle=angle), size_m=size, top_m=top
+        )
         for along, angle, size in (
             (0.5 * length, inward, (length, width)),
             (length + 0.9, inward + 0.5 * np.pi, (5.2, 1.9)),
@@ -106,13 +108,12 @@ def _place_jetty(builder: SceneBuilder, around: Surroundings) -> None:
         reach, side = 0.5 * part.size_m[0] - 0.15, 0.5 * part.size_m[1] + 0.08
         count = max(2, round(part.size_m[0] / 3.2))
         feet = [[x, y] for x in np.linspace(-reach, reach, count) for y in (-side, side)]
-        for spot in part.points(np.array(feet)):
+        for spot in part.plot.points(feet):
             waterside.add_pile(builder, spot, top + float(rng.uniform(0.35, 0.7)))
         for x in np.arange(-reach, reach + 0.1, 1.0):
-            builder.claim(part.points(np.array([[x, 0.0]]))[0], side)
+            builder.claim(part.plot.at(x, 0.0), side)
     for index, (x, y) in enumerate(((0.18, 1.0), (0.26, -1.0), (-0.08, -1.0))):
-        local = np.array([[x * length, y * (0.5 * width + 1.15)]])
-        spot = parts[0].points(local)[0]
+        spot = parts[0].plot.at(x * length, y * (0.5 * width + 1.15))
         if around.shore_m(spot) < -1.5:
             heading = inward + rng.uniform(-0.12, 0.12) + (np.pi if rng.random() < 0.5 else 0.0)
             waterside.add_boat(builder, models[index], spot, heading)

@@ -15,10 +15,10 @@ from touchdown.scenes.authoring.draft import SceneDraft
 from touchdown.scenes.authoring.generation import finish, scene_rng, start_scene
 from touchdown.scenes.authoring.ground import TEXELS, Canvas, Ground
 from touchdown.scenes.authoring.light import bake_light, ground_texture
-from touchdown.scenes.authoring.meshes import MeshData, box, polygon
+from touchdown.scenes.authoring.meshes import box, plaque
 from touchdown.scenes.authoring.noise import fractal_noise
 from touchdown.scenes.authoring.plane import draw_heading, pick, unit
-from touchdown.scenes.authoring.plots import SurveyFrame, free_spots
+from touchdown.scenes.authoring.plots import Plot, SurveyFrame, free_spots
 from touchdown.scenes.authoring.relief import HeightField, level_takeoff, smoothstep, write_hfield
 from touchdown.scenes.props import waterside
 from touchdown.scenes.props.plants import Nursery, add_bush, add_rock, plant_nursery
@@ -32,9 +32,8 @@ def place_raft(builder: SceneBuilder) -> None:
     """Adds a bathing raft of boards on drums, a flagpole at a corner, a rowing boat alongside."""
     rng = builder.rng
     size = (float(rng.uniform(6.4, 8.0)), float(rng.uniform(6.0, 7.0)))
-    deck = waterside.Deck(
-        centre_xy_m=np.zeros(2), angle=float(rng.uniform(-0.6, 0.6)), size_m=size, top_m=0.0
-    )
+    plot = Plot(origin_xy_m=np.zeros(2), angle=float(rng.uniform(-0.6, 0.6)))
+    deck = waterside.Deck(plot=plot, size_m=size, top_m=0.0)
     tone = rng.uniform(0.85, 1.15)
     waterside.add_deck(
         builder,
@@ -45,14 +44,14 @@ def place_raft(builder: SceneBuilder) -> None:
     x, y = 0.5 * size[0], 0.5 * size[1]
     for side in (-1.0, 1.0):
         along = side * (y - 0.35)
-        ends = deck.points(np.array([[-x + 0.2, along], [x - 0.2, along]]))
+        ends = plot.at(-x + 0.2, along), plot.at(x - 0.2, along)
         builder.geom("drum", waterside.PILE, capsule=0.33, rgba=[0.16, 0.24, 0.36, 1],
                      fromto=[*ends[0], -0.5, *ends[1], -0.5])  # fmt: skip
-    _flagpole(builder, deck.points(np.array([[x - 0.25, y - 0.25]]))[0])
-    _ladder(builder, deck, -x)
+    _flagpole(builder, plot.at(x - 0.25, y - 0.25))
+    _ladder(builder, plot, -x)
     model = waterside.add_boat_models(builder, 1)[0]
-    spot = deck.points(np.array([[0.8, -y - 1.1]]))[0]
-    waterside.add_boat(builder, model, spot, deck.angle + rng.uniform(-0.06, 0.06))
+    heading = plot.angle + rng.uniform(-0.06, 0.06)
+    waterside.add_boat(builder, model, plot.at(0.8, -y - 1.1), heading)
 
 
 def _flagpole(builder: SceneBuilder, xy_m: Array) -> None:
@@ -62,13 +61,13 @@ def _flagpole(builder: SceneBuilder, xy_m: Array) -> None:
     flag = xy_m + 0.38 * unit(turn)
     builder.geom("flag", waterside.PILE, box=[0.36, 0.01, 0.22], pos=[*flag, 2.55],
                  heading=turn, rgba=[0.86, 0.16, 0.12, 1])  # fmt: skip
-    square_shadow(builder, xy_m, 0.03, 0.0, 2.8)
+    square_shadow(builder, xy_m, 0.03, 2.8)
 
 
-def _ladder(builder: SceneBuilder, deck: waterside.Deck, x: float) -> None:
+def _ladder(builder: SceneBuilder, plot: Plot, x: float) -> None:
     """Two bent tubes over the edge at ``x`` of the deck."""
     for y in (-0.25, 0.25):
-        foot = deck.points(np.array([[x - 0.05, y]]))[0]
+        foot = plot.at(x - 0.05, y)
         builder.geom("ladder", waterside.PILE, capsule=0.025,
                      fromto=[*foot, -0.9, *foot, 0.75], rgba=[0.75, 0.77, 0.78, 1])  # fmt: skip
 
@@ -259,10 +258,8 @@ def _place_boats(builder: SceneBuilder) -> None:
 def _spread_water(builder: SceneBuilder, level_m: float, depth: water.Float32) -> None:
     """The sheet and its texture, after all objects that cast a shadow on it."""
     spec, rng = builder.spec, builder.rng
-    top = HALF_M * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], np.float64)
-    uv = np.array([[0.0, 1.0], [1.0, 1.0], [1.0, 0.0], [0.0, 0.0]])
     below = box((HALF_M, HALF_M, 0.25), (0.0, 0.0, -0.252), 1e3)
-    mesh = builder.mesh("water", MeshData.join([polygon(top, uv), below]))
+    mesh = builder.mesh("water", plaque((HALF_M, HALF_M), below))
     sheet = Surface(land_class="water", reflectivity=water.WATER_REFLECTIVITY, water=True)
     builder.geom("water", sheet, mesh=mesh, material="water", pos=[0.0, 0.0, level_m])
     light = bake_light(builder.casters, builder.terrain, builder.sun, TEXELS // 2, ambient=0.50)

@@ -8,7 +8,7 @@ from touchdown.scenes.api import Array, Surface
 from touchdown.scenes.authoring import relief
 from touchdown.scenes.authoring.builder import SceneBuilder, turned
 from touchdown.scenes.authoring.ground import Canvas, Ground
-from touchdown.scenes.authoring.meshes import MeshData, polygon
+from touchdown.scenes.authoring.meshes import MeshData, polygon, walls
 from touchdown.scenes.authoring.plane import draw_heading, unit
 from touchdown.scenes.authoring.plots import Plot, SurveyFrame
 from touchdown.scenes.places.turf.layout import (
@@ -165,10 +165,7 @@ class Airfield:
         v, w, half = self.runway_v, self.half_width, self.half_length
         profile = np.array([[-0.55, 0.0], [0.55, 0.0], [0.0, 0.26]])
         ends = [np.column_stack([np.full(3, x), profile]) for x in (-1.1, 1.1)]
-        parts = [polygon(ends[1], np.zeros((3, 2))), polygon(ends[0][::-1], np.zeros((3, 2)))]
-        for i, j in ((0, 1), (1, 2), (2, 0)):
-            corners = np.array([ends[0][i], ends[0][j], ends[1][j], ends[1][i]])
-            parts.append(polygon(corners, np.zeros((4, 2))))
+        parts = [polygon(ends[1]), polygon(ends[0][::-1]), *walls(ends[0], ends[1])]
         mesh = builder.mesh("runway_marker", MeshData.join(parts))
         for side in (v - w - 0.9, v + w + 0.9):
             for u in np.arange(-half, half + 1.0, 12.5):
@@ -244,7 +241,5 @@ def fuselage_mesh(stations: Array) -> MeshData:
     for front, back in pairwise(rings):
         for i in range(8):
             corners = np.array([front[i], front[i + 1], back[i + 1], back[i]])
-            parts.append(polygon(corners[::-1], np.zeros((4, 2))))
-    parts.append(polygon(rings[0][:-1], np.zeros((8, 2))))
-    parts.append(polygon(rings[-1][:-1][::-1], np.zeros((8, 2))))
-    return MeshData.join(parts)
+            parts.append(polygon(corners[::-1]))
+    return MeshData.join([*parts, polygon(rings[0][:-1]), polygon(rings[-1][:-1][::-1])])
