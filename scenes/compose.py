@@ -9,9 +9,11 @@ import mujoco
 import numpy as np
 
 from touchdown.scenes import api
+from touchdown.scenes.authoring.builder import quat_z
 from touchdown.scenes.authoring.draft import SceneDraft
 from touchdown.scenes.authoring.light import light_file, lit_by, set_sky
 from touchdown.scenes.authoring.mounts import mount_sensors
+from touchdown.scenes.authoring.plane import unit_circle
 from touchdown.scenes.registry import dials_of, scene_generator
 from touchdown.scenes.traffic.routes import Traffic
 
@@ -63,10 +65,14 @@ def load_scene(
     mount_sensors(spec, guests)
     movers.add_bodies(spec, draft.surfaces)
     scene = movers.routed(compile_scene(spec, draft, name, seed, name_or_path))
-    dials = dials_of(name_or_path, dials)
-    options = options if _is_file(name_or_path) else None
-    scene = replace(scene, traffic=traffic or api.TrafficParams(), vehicle=guests.vehicle)
-    return replace(scene, light=light, options=options, dials=dials)
+    return replace(
+        scene,
+        traffic=traffic or api.TrafficParams(),
+        vehicle=guests.vehicle,
+        light=light,
+        options=options if _is_file(name_or_path) else None,
+        dials=dials_of(name_or_path, dials),
+    )
 
 
 def compile_scene(spec: Any, draft: SceneDraft, name: str, seed: int, source: str) -> api.Scene:
@@ -121,8 +127,7 @@ def bare_spec(name_or_path: str, seed: int) -> Any:
     spec = draft.spec
     _set_options(spec)
     if spec.site("takeoff") is None:
-        half_yaw = 0.5 * draft.takeoff_yaw
-        quat = [np.cos(half_yaw), 0.0, 0.0, np.sin(half_yaw)]
+        quat = quat_z(draft.takeoff_yaw)
         spec.worldbody.add_site(name="takeoff", pos=[*draft.takeoff_xy_m, 0.0], quat=quat)
     return spec
 
@@ -195,22 +200,15 @@ def _add_carrier(spec: Any, draft: SceneDraft, name: str) -> None:
 
 
 def _set_options(spec: Any) -> None:
-    _set_physics(spec)
-    _set_visual(spec)
-
-
-def _set_physics(spec: Any) -> None:
+    """Sets physics, clip planes and quality. Clip planes are in units of the model's extent, which
+    is fixed here to keep them absolute. Real-time shadows and multisampling would each more than
+    double the render time on a software renderer; `scenes.render` renders large and scales down
+    instead."""
     option = spec.option
     option.timestep = 1.0 / TICK_HZ
     option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     option.gravity = [0.0, 0.0, -9.81]
     option.density, option.viscosity = AIR_DENSITY_KGPM3, AIR_VISCOSITY_PAS
-
-
-def _set_visual(spec: Any) -> None:
-    """Sets clip planes and quality. Clip planes are in units of the model's extent, which is fixed
-    here to keep them absolute. Real-time shadows and multisampling would each more than double the
-    render time on a software renderer; `scenes.render` renders large and scales down instead."""
     spec.stat.extent = 100.0
     visual = spec.visual
     visual.map.znear, visual.map.zfar = NEAR_M / 100.0, FAR_M / 100.0
@@ -234,9 +232,8 @@ def _attach_vehicle(spec: Any, draft: SceneDraft, vehicle: str) -> None:
     own.option = spec.option
     spec.attach(own, prefix="vehicle/", frame=spec.worldbody.add_frame())
     body = spec.body(api.VEHICLE_BODY)
-    half_yaw = 0.5 * draft.takeoff_yaw
     body.pos = [*draft.takeoff_xy_m, 0.0]
-    body.quat = [np.cos(half_yaw), 0.0, 0.0, np.sin(half_yaw)]
+    body.quat = quat_z(draft.takeoff_yaw)
     if not body.joints:
         body.add_freejoint(name="vehicle/free")
     for geom in body.find_all("geom"):
@@ -250,8 +247,7 @@ def _stand_on_ground(model: Any, draft: SceneDraft) -> None:
     mujoco.mj_kinematics(model, data)
     body = model.body(api.VEHICLE_BODY).id
     lowest, radius = _underside(model, data, body)
-    angles = np.linspace(0.0, 2.0 * np.pi, 12, endpoint=False)
-    ring = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    ring = unit_circle(12)
     points = draft.takeoff_xy_m + np.concatenate(
         [np.zeros((1, 2)), 0.5 * radius * ring, radius * ring]
     )

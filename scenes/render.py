@@ -9,11 +9,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from touchdown.scenes.api import Image, Scene
+from touchdown.scenes.api import VEHICLE_BODY, VEHICLE_GROUP, Image, Scene
 
 VIEWS = ("above", "oblique")
-_VEHICLE_GROUP = 4
-"""of its geoms"""
 
 
 def render_scene(scene: Scene, view: str, pixels: int | None = None) -> Image:
@@ -48,14 +46,14 @@ def render_vehicle(scene: Scene, pixels: int = 1200) -> Image:
     model = scene.model
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
-    body = data.body("vehicle/quadrotor")
+    body = data.body(VEHICLE_BODY)
     reach = np.linalg.norm(model.geom_pos[model.geom_bodyid == body.id][:, :2], axis=1).max()
     eye = _camera(
         body.xpos[:2], 0.35 + 3.4 * float(reach), -16.0, np.rad2deg(scene.takeoff_yaw) + 215.0
     )
     eye.lookat[2] = body.xpos[2]
     options = mujoco.MjvOption()
-    options.geomgroup[_VEHICLE_GROUP] = 1
+    options.geomgroup[VEHICLE_GROUP] = 1
     with _lens(model, 42.0, 0.02, 300.0):
         return _render(model, data, eye, (pixels, pixels * 9 // 16), options)
 

@@ -14,13 +14,12 @@ from numpy.typing import NDArray
 from touchdown.experiments.config.loading import load_config
 from touchdown.experiments.flight.wiring import build_scene
 from touchdown.landing.watch.people import LEAST_WIDTH
-from touchdown.scenes.api import MovingBody, Scene
+from touchdown.scenes.api import VEHICLE_BODY, VEHICLE_GROUP, MovingBody, Scene
 from touchdown.scenes.traffic.walkers import CLOTHES, SKINS
 from touchdown.scenes.truth.static_surface import cast_points
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.camera.sensor import (
     CAMERA_NAME,
-    VEHICLE_GROUP,
     CameraSensor,
     GroundEffects,
     Snapshot,
@@ -290,7 +289,7 @@ def _inside(crowd: _Crowd, data: Any, k: CameraIntrinsics) -> Array:
 
 def _place(model: Any, data: Any, eye: Array, rng: np.random.Generator) -> None:
     """Puts the vehicle's camera at ``eye`` (3,), tilted like a vehicle in wind."""
-    body = model.body("vehicle/quadrotor")
+    body = model.body(VEHICLE_BODY)
     start = int(model.jnt_qposadr[body.jntadr[0]])
     axis = rng.normal(size=2)
     tilt = math.radians(_TILT_DEG) * float(rng.uniform(0.0, 1.0)) / np.linalg.norm(axis)

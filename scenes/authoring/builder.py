@@ -13,7 +13,6 @@ from touchdown.scenes.authoring.draft import Picture, fill_texture, size_texture
 from touchdown.scenes.authoring.meshes import MeshData
 from touchdown.scenes.authoring.relief import HeightField
 
-RGB_ROLE = int(mujoco.mjtTextureRole.mjTEXROLE_RGB)
 GEOM = mujoco.mjtGeom
 _SHAPES = {
     "box": GEOM.mjGEOM_BOX,
@@ -60,11 +59,7 @@ class SceneBuilder:
     def material(self, name: str, image: NDArray[np.uint8], shine: float = 0.0) -> str:
         """Adds a material with a 2-D texture, (H, W, 3) uint8, top row first. Returns its name."""
         add_texture(self.spec, name, image)
-        material = self.spec.add_material(name=name, specular=shine, shininess=0.5 * shine)
-        textures = list(material.textures)
-        textures[RGB_ROLE] = name
-        material.textures = textures
-        return name
+        return add_material(self.spec, name, name, specular=shine, shininess=0.5 * shine)
 
     def picture(
         self, name: str, shape: tuple[int, ...], draw: Callable[[NDArray[np.uint8]], object]
@@ -140,10 +135,10 @@ class SceneBuilder:
         """Reserves a disc against later random placements."""
         self.occupied.append((np.asarray(xy_m, np.float64), radius_m))
 
-    def claim_line(self, start_m: Array, end_m: Array, count: int, radius_m: float) -> None:
-        """Reserves ``count`` discs from one end of a segment to the other."""
+    def claim_line(self, start_m: Array, end_m: Array, count: int) -> None:
+        """Reserves ``count`` discs of 1 m from one end of a segment to the other."""
         for fraction in np.linspace(0.0, 1.0, count):
-            self.claim(start_m + fraction * (end_m - start_m), radius_m)
+            self.claim(start_m + fraction * (end_m - start_m), 1.0)
 
     def is_free(self, xy_m: Array, radius_m: float) -> bool:
         """True if a disc overlaps no reserved one."""
@@ -160,9 +155,24 @@ def add_texture(spec: Any, name: str, image: NDArray[np.uint8]) -> None:
     fill_texture(texture, image)
 
 
+def add_material(spec: Any, name: str, texture: str, **looks: Any) -> str:
+    """Adds a material with a texture, without shine unless ``looks`` has some. Returns its name."""
+    material = spec.add_material(name=name, **{"specular": 0.0, "shininess": 0.0} | looks)
+    textures = list(material.textures)
+    textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = texture
+    material.textures = textures
+    return name
+
+
 def quat_z(angle: float) -> list[float]:
     """Returns the quaternion wxyz of a turn about +z."""
     return [float(np.cos(0.5 * angle)), 0.0, 0.0, float(np.sin(0.5 * angle))]
+
+
+def quat_zy(yaw: float, pitch: float) -> list[float]:
+    """Returns the quaternion wxyz of a turn about +y by ``pitch``, then about +z by ``yaw``."""
+    cy, sy, cp, sp = np.cos(yaw / 2), np.sin(yaw / 2), np.cos(pitch / 2), np.sin(pitch / 2)
+    return [float(cy * cp), float(-sy * sp), float(cy * sp), float(sy * cp)]
 
 
 def turned(points: Array, angle: float, origin: Array) -> Array:

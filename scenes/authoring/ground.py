@@ -277,15 +277,11 @@ def shade_ground(
     canvas: Canvas,
     light: api.Float32,
     pattern_angles: dict[Ground, float],
-    slopes: api.Bytes | None = None,
 ) -> api.Bytes:
-    """Returns the texture, (rows, cols, 3) uint8 as the canvas is, top row = y_max.
-
-    light: (n, n) fraction of full light, row 0 at y_min (see `light.bake_light`). pattern_angles:
-    radians by which slabs, mowing stripes and furrows of a material are turned. slopes: as the
-    canvas, tones of a relief finer than the terrain's (see `scenes.authoring.micro_relief`)."""
+    """Returns the texture, (rows, cols, 3) uint8 as the canvas is, top row = y_max. The arguments
+    are those of `ground_shader`."""
     image = np.empty((*canvas.material.shape, 3), np.uint8)
-    ground_shader(rng, canvas, light, pattern_angles, slopes)(image)
+    ground_shader(rng, canvas, light, pattern_angles)(image)
     return image
 
 
@@ -296,8 +292,13 @@ def ground_shader(
     pattern_angles: dict[Ground, float],
     slopes: api.Bytes | None = None,
 ) -> Callable[[api.Bytes], None]:
-    """Returns what fills an image with the texture of `shade_ground`. All random numbers are drawn
-    here, and the canvas is given the materials of `varied_materials`."""
+    """Returns what fills an image, shaped as the canvas with the top row at y_max, with its
+    texture. All random numbers are drawn here, and the canvas is given the materials of
+    `varied_materials`.
+
+    light: (n, n) fraction of full light, row 0 at y_min (see `light.bake_light`). pattern_angles:
+    radians by which slabs, mowing stripes and furrows of a material are turned. slopes: as the
+    canvas, tones of a relief finer than the terrain's (see `scenes.authoring.micro_relief`)."""
     variation = present_variation()
     if variation is not None:
         canvas.material[:] = variation.materials[canvas.material]

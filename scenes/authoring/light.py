@@ -33,11 +33,14 @@ from numpy.typing import NDArray
 from touchdown.scenes.api import Array, Float32, Light, LowSun
 from touchdown.scenes.authoring.builder import Caster, SceneBuilder
 from touchdown.scenes.authoring.ground import Canvas, Ground, ground_shader
+from touchdown.scenes.authoring.plane import unit
 from touchdown.scenes.authoring.relief import HeightField
 
 DUSK_SUN_DEG = 2.0
 DUSK_SUN_FRACTION = 0.25
 """of the light on level ground at dusk"""
+SHADE = 0.5
+"""Light left in full shadow by day"""
 
 
 class Sky(NamedTuple):
@@ -78,11 +81,11 @@ def sun_shines() -> bool:
     return _sky.get().light == "day"
 
 
-def light_in_shadow(by_day: float) -> float:
-    """Fraction of the light that a full shadow leaves, which is ``by_day`` under the sun."""
+def light_in_shadow() -> float:
+    """Fraction of the light that a full shadow leaves."""
     light = _sky.get().light
     if light == "day":
-        return by_day
+        return SHADE
     return 1.0 - DUSK_SUN_FRACTION if light == "dusk" else 1.0
 
 
@@ -120,6 +123,11 @@ def sun_colour(elevation_deg: float) -> Array:
     return colour / colour.max()
 
 
+def _beam(azimuth: float, elevation: float) -> Array:
+    """(3,) unit, the direction in which the light of a sun there travels."""
+    return -np.array([*np.cos(elevation) * unit(azimuth), np.sin(elevation)])
+
+
 def lower_sun(light: Any, sun: LowSun, direction: Array) -> Array:
     """Turns and tints a directional light whose light travelled along ``direction`` (3,). Returns
     its new direction, (3,) unit."""
@@ -127,8 +135,7 @@ def lower_sun(light: Any, sun: LowSun, direction: Array) -> Array:
     if sun.azimuth_deg is not None:
         azimuth = np.deg2rad(sun.azimuth_deg)
     elevation = np.deg2rad(sun.elevation_deg)
-    flat = np.cos(elevation)
-    lowered = -np.array([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)])
+    lowered = _beam(azimuth, elevation)
     level = np.array(light.diffuse) * max(0.0, -float(direction[2]))
     light.dir = lowered
     light.ambient = np.array(light.ambient) + 0.5 * level
@@ -145,15 +152,13 @@ def draw_sun(
     """Turns and tints the light `sun`, between ``elevations_deg`` over the horizon. Returns the
     direction in which it travels, (3,) unit."""
     elevation, azimuth = np.deg2rad(rng.uniform(*elevations_deg)), rng.uniform(0.0, 2.0 * np.pi)
-    flat = np.cos(elevation)
-    direction = -np.array([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)])
+    direction = _beam(azimuth, elevation)
     warmth = rng.uniform(0.0, 1.0)
     strength = rng.uniform(0.62, 0.74) / np.sin(elevation) * 0.92
     light = spec.light("sun")
     light.dir = direction
     light.diffuse = strength * np.array([1.0, 0.985 - 0.04 * warmth, 0.95 - 0.12 * warmth])
-    direction = _under_sky(spec, light, direction)
-    return direction
+    return _under_sky(spec, light, direction)
 
 
 def _under_sky(spec: Any, light: Any, direction: Array) -> Array:
@@ -173,8 +178,7 @@ def _under_sky(spec: Any, light: Any, direction: Array) -> Array:
         light.diffuse = [float(level.mean())] * 3
         return direction
     azimuth, elevation = np.arctan2(-direction[1], -direction[0]), np.deg2rad(DUSK_SUN_DEG)
-    flat = np.cos(elevation)
-    lowered = -np.array([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)])
+    lowered = _beam(azimuth, elevation)
     light.dir = lowered
     light.ambient = np.array(light.ambient) + level * _DUSK_TINT
     beam = DUSK_SUN_FRACTION * level.max() / np.sin(elevation)
@@ -219,9 +223,9 @@ def ground_texture(
 ) -> Callable[[NDArray[np.uint8]], None]:
     """Returns what fills an image, (rows, cols, 3), top row = y_max, with the ground under the
     light and shadows of everything placed so far. pattern_angles, slopes: as in
-    `scenes.authoring.ground.shade_ground`; hilly: as in `bake_light`."""
+    `scenes.authoring.ground.ground_shader`; hilly: as in `bake_light`."""
     pixels = len(canvas.material) // 2
-    light = bake_light(builder.casters, builder.terrain, builder.sun, pixels, 0.50, hilly)
+    light = bake_light(builder.casters, builder.terrain, builder.sun, pixels, hilly)
     return ground_shader(builder.rng, canvas, light, pattern_angles, slopes)
 
 
@@ -236,17 +240,15 @@ def bake_light(
     terrain: HeightField,
     sun_direction: Array,
     pixels: int,
-    ambient: float,
     hilly: bool = False,
 ) -> Float32:
     """Returns the fraction of full light on the ground, (pixels, pixels) float32 in (0, 1], row 0
     at y_min.
 
-    sun_direction: (3,) unit, the direction in which the light travels. ambient: light left in full
-    shadow by day (`light_in_shadow` under other lights). Casters are projected on the
+    sun_direction: (3,) unit, the direction in which the light travels. Casters are projected on the
     level ground at their own foot, or, in ``hilly`` scenes, on the slope that the shadow falls on;
     overlaps multiply."""
-    ambient = light_in_shadow(ambient)
+    ambient = light_in_shadow()
     cell = 2.0 * terrain.half_m / pixels
     sun = np.ones((pixels, pixels), np.float32)
     sky = np.ones((pixels // 4, pixels // 4), np.float32)

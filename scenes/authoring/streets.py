@@ -150,11 +150,11 @@ def trace_crack(canvas: Canvas, rng: np.random.Generator, start_m: Array) -> Non
     canvas.trace(start_m + np.cumsum(steps, axis=0), 0.03, 170)
 
 
-def smooth_line(corners_m: Array, rounds: int = 5) -> Array:
+def smooth_line(corners_m: Array) -> Array:
     """A line through the ends of ``corners_m`` (K, 2) with its corners cut smooth (Chaikin's
     subdivision), resampled every `STEP_M`."""
     line = np.asarray(corners_m, np.float64)
-    for _ in range(rounds):
+    for _ in range(5):
         first, second = 0.75 * line[:-1] + 0.25 * line[1:], 0.25 * line[:-1] + 0.75 * line[1:]
         inner = np.stack([first, second], axis=1).reshape(-1, 2)
         line = np.concatenate([line[:1], inner, line[-1:]])

@@ -90,9 +90,10 @@ def flat_roof(rng: np.random.Generator, size_m: tuple[float, float], px_per_m: f
     return to_texture(tone[..., None] * np.array([1.0, 0.985, 0.95], np.float32))
 
 
-def facade_bay(rng: np.random.Generator, wall: Colour, brick: bool, px: int = 224) -> Image:
-    """(2 px, px, 3): a window bay, 3.0 m wide and 2.8 m high, to be repeated along the wall, above
+def facade_bay(rng: np.random.Generator, wall: Colour, brick: bool) -> Image:
+    """(448, 224, 3): a window bay, 3.0 m wide and 2.8 m high, to be repeated along the wall, above
     as much plain wall. wall: RGB 0..255."""
+    px = 224
     rows, cols = np.mgrid[0 : 2 * px, 0:px].astype(np.float32)
     y, x = rows * 2.8 / px, cols * 3.0 / px
     shade = np.ones((2 * px, px), np.float32)

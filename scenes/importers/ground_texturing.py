@@ -16,7 +16,7 @@ import mujoco
 import numpy as np
 
 from touchdown.scenes.api import Array, Float32, Image, Surface
-from touchdown.scenes.authoring.builder import RGB_ROLE, add_texture
+from touchdown.scenes.authoring.builder import add_material, add_texture
 from touchdown.scenes.authoring.ground import Canvas, Ground, shade_ground
 from touchdown.scenes.authoring.noise import fractal_noise
 from touchdown.scenes.importers.classes import look_of
@@ -240,8 +240,9 @@ def _replace_flat(spec: Any, place: Place, geom: int, look: Look) -> bool:
         material=_material(spec, name, look, extent), contype=touches, conaffinity=touches,
     )  # fmt: skip
     if beyond:
-        tiled = _textured(spec, f"{name}_tiled", f"{name}_dressed", texuniform=True,
-                          texrepeat=[1.0 / float(extent[0]), 1.0 / float(extent[1])])  # fmt: skip
+        tiled = add_material(
+            spec, f"{name}_tiled", f"{name}_dressed", texuniform=True, texrepeat=1.0 / extent
+        )
         spec.worldbody.add_geom(
             name=f"{look.land_class}_beyond_{name}", type=mujoco.mjtGeom.mjGEOM_PLANE, size=size,
             pos=centre - _BACKDROP_M * rotation[:, 2], quat=quat_of(rotation), material=tiled,
@@ -273,15 +274,7 @@ def _relief(name: str, shape: tuple[int, int], extent: Array) -> Array:
 def _material(spec: Any, name: str, look: Look, extent: Array) -> str:
     """Adds a material that lies once over a level rectangle of ``extent`` (2,) metres."""
     add_texture(spec, f"{name}_dressed", painted(name, look, extent))
-    return _textured(spec, f"{name}_dressed", f"{name}_dressed", texuniform=False)
-
-
-def _textured(spec: Any, name: str, texture: str, **more: Any) -> str:
-    material = spec.add_material(name=name, specular=0.0, shininess=0.0, **more)
-    textures = list(material.textures)
-    textures[RGB_ROLE] = texture
-    material.textures = textures
-    return name
+    return add_material(spec, f"{name}_dressed", f"{name}_dressed")
 
 
 def painted(name: str, look: Look, extent: Array) -> Image:

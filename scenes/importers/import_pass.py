@@ -11,6 +11,7 @@ import mujoco
 import numpy as np
 
 from touchdown.scenes.api import Array, ImportOptions, Surface
+from touchdown.scenes.authoring.builder import quat_z
 from touchdown.scenes.authoring.draft import SceneDraft
 from touchdown.scenes.importers.classes import Inferred, infer_classes, read_given_classes
 from touchdown.scenes.importers.ground_texturing import (
@@ -171,8 +172,7 @@ def make_flyable(
     if notes:
         say("; ".join(notes))
     if not named:
-        half = 0.5 * draft.takeoff_yaw
-        quat = [float(np.cos(half)), 0.0, 0.0, float(np.sin(half))]
+        quat = quat_z(draft.takeoff_yaw)
         spec.worldbody.add_site(name="takeoff", pos=[*takeoff_xy, 0.0], quat=quat)
     return replace(
         draft,

@@ -8,6 +8,8 @@ import mujoco
 import numpy as np
 
 from touchdown.scenes.api import VEHICLE_FOLDER, VEHICLE_GROUP, vehicle_file
+from touchdown.scenes.authoring.builder import quat_z
+from touchdown.scenes.importers.ground_texturing import quat_of
 from touchdown.scenes.importers.import_pass import move_inside
 from touchdown.scenes.importers.mjcf import compiled, delete_motion, read_spec
 from touchdown.scenes.importers.model_check import MAX_TEXT_BYTES, check_spec, check_texts
@@ -126,16 +128,14 @@ def _principal(inertia: Array) -> tuple[Array, Array]:
     """Quaternion (4,) wxyz of the principal axes, and the moments (3,) about them."""
     moments, axes = np.linalg.eigh(inertia)
     axes[:, 2] = np.cross(axes[:, 0], axes[:, 1])
-    quat = np.empty(4)
-    mujoco.mju_mat2Quat(quat, axes.ravel())
-    return quat, moments
+    return quat_of(axes), moments
 
 
 def _gather_sites(spec: Any, root: Any, model: Any, data: Any) -> None:
     """Puts all named sites, those of bodies inside too, on the body itself."""
     for site in [site for site in root.find_all("site") if site.name]:
-        index, name, quat = model.site(site.name).id, site.name, np.empty(4)
-        mujoco.mju_mat2Quat(quat, data.site_xmat[index])
+        index, name = model.site(site.name).id, site.name
+        quat = quat_of(data.site_xmat[index])
         spec.delete(site)
         root.add_site(name=name, pos=data.site_xpos[index], quat=quat, size=[0.008, 0.0, 0.0])
 
@@ -164,11 +164,10 @@ def _add_rotors(spec: Any, root: Any) -> None:
             size=[radius, 0.004, 0.0], rgba=[0.25, 0.30, 0.36, 0.25], conaffinity=1, **common,
         )  # fmt: skip
         half, width, height = _BLADES
-        angle = np.radians(20.0 + 55.0 * number) / 2.0
         root.add_geom(
             name=f"rotor_{number}_blades", type=mujoco.mjtGeom.mjGEOM_BOX,
             size=[half * radius, width * radius, height * radius],
-            quat=[np.cos(angle), 0.0, 0.0, np.sin(angle)], rgba=[0.12, 0.13, 0.15, 1.0],
+            quat=quat_z(np.radians(20.0 + 55.0 * number)), rgba=[0.12, 0.13, 0.15, 1.0],
             conaffinity=0, **common,
         )  # fmt: skip
 

@@ -55,8 +55,8 @@ def add_greenhouse(builder: SceneBuilder, xy_m: Array, heading: float) -> None:
         pane[8:30, 8:56] = (172, 202, 204)
         pane[:4], pane[:, :4] = 236, 236
         builder.material(name, pane, shine=0.5)
-    walls = builder.mesh(builder.unique("glass_walls"), _tiled(wall_mesh(size, 0.8), 0.6))
-    gable = _tiled(gable_roof_mesh(3.0, 2.2, 0.8, 0.05), 0.6)
+    walls = builder.mesh(builder.unique("glass_walls"), _tiled(wall_mesh(size, 0.8)))
+    gable = _tiled(gable_roof_mesh(3.0, 2.2, 0.8, 0.05))
     roof = builder.mesh(builder.unique("glass_roof"), gable)
     for mesh, rise in ((walls, 0.0), (roof, size[2])):
         builder.geom("building_greenhouse", GLASS, mesh=mesh, material=name,
@@ -65,10 +65,10 @@ def add_greenhouse(builder: SceneBuilder, xy_m: Array, heading: float) -> None:
     builder.claim(xy_m, 2.4)
 
 
-def _tiled(data: MeshData, metres: float) -> MeshData:
-    """The mesh mapped in metres: by x and the larger of the other two extents."""
+def _tiled(data: MeshData) -> MeshData:
+    """The mesh with a pane every 0.6 m: by x and the larger of the other two extents."""
     x, y, z = data.vertices.T
-    return replace(data, uv=np.stack([(x + y) / metres, (z + y) / metres], -1))
+    return replace(data, uv=np.stack([(x + y) / 0.6, (z + y) / 0.6], -1))
 
 
 def drum(radius: float, low: float, high: float, sides: int = 16) -> MeshData:
@@ -119,7 +119,7 @@ def add_washing_line(
         at = tops[0] + fraction * (tops[1] - tops[0]) + [*(0.45 * across), -size[1] - 0.02]
         builder.geom("laundry", CLOTH, box=[size[0], 0.012, size[1]], pos=at, heading=heading,
                      rgba=[*rng.uniform(0.55, 0.95, 3), 1.0])  # fmt: skip
-    builder.claim_line(start_xy_m, end_xy_m, 5, 1.0)
+    builder.claim_line(start_xy_m, end_xy_m, 5)
 
 
 def add_table(builder: SceneBuilder, xy_m: Array, heading: float) -> None:

@@ -115,7 +115,7 @@ def add_hedge(
     builder.geom("trees_hedge", HEDGE, mesh=mesh, material=nursery.hedge_leaf, pos=at,
                  heading=angle)  # fmt: skip
     builder.cast_box((half[0], half[1]), (-half[2], half[2]), angle, at, 0.95)
-    builder.claim_line(start_xy_m, end_xy_m, max(2, int(half[0])), 1.0)
+    builder.claim_line(start_xy_m, end_xy_m, max(2, int(half[0])))
 
 
 def add_rock(builder: SceneBuilder, xy_m: Array, radius_m: float) -> None:

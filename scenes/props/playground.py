@@ -5,7 +5,7 @@ from itertools import pairwise
 import numpy as np
 
 from touchdown.scenes.api import Array, Surface
-from touchdown.scenes.authoring.builder import SceneBuilder
+from touchdown.scenes.authoring.builder import SceneBuilder, quat_zy
 from touchdown.scenes.authoring.meshes import box, plate
 from touchdown.scenes.authoring.plane import rotated, unit
 from touchdown.scenes.props.garden import CLOTH
@@ -86,10 +86,7 @@ def add_goal(
     add_wire(builder, ends[0] + up, ends[1] + up, 0.05, white)
     lean = float(np.hypot(1.1, height_m))
     tilt = float(np.arctan2(1.1, height_m))
-    half = 0.5 * heading, 0.5 * tilt
-    quat = [np.cos(half[0]) * np.cos(half[1]), -np.sin(half[0]) * np.sin(half[1]),
-            np.cos(half[0]) * np.sin(half[1]), np.sin(half[0]) * np.cos(half[1])]  # fmt: skip
-    builder.geom("net", NET, box=[0.008, 0.5 * width_m, 0.5 * lean], quat=quat,
+    builder.geom("net", NET, box=[0.008, 0.5 * width_m, 0.5 * lean], quat=quat_zy(heading, tilt),
                  pos=foot - 0.55 * along + 0.5 * up, rgba=[0.90, 0.90, 0.90, 0.28])  # fmt: skip
     for fraction in (-0.5, 0.0, 0.5):
         builder.claim(xy_m + fraction * width_m * left[:2], 1.0)
@@ -110,7 +107,7 @@ def add_net(
                  0.16, 0.4], heading=float(np.arctan2(span[1], span[0])))  # fmt: skip
     tops = [np.array([*end, z + high]) for end in (start_xy_m, end_xy_m)]
     add_wire(builder, tops[0], tops[1], 0.02, [0.93, 0.93, 0.90, 1])
-    builder.claim_line(start_xy_m, end_xy_m, 6, 1.0)
+    builder.claim_line(start_xy_m, end_xy_m, 6)
 
 
 def add_slackline(

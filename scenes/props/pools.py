@@ -78,7 +78,7 @@ def add_pool(builder: SceneBuilder, pool: Pool) -> None:
         outline, uv = outline[::-1], uv[::-1]
     level = COPING_M if pool.covered else LEVEL_M
     hub = (middle - low) / (high - low)
-    water = _prism(outline - where, uv, np.array([hub[0], 1.0 - hub[1]]), -0.3, level)
+    water = _prism(outline - where, uv, np.array([hub[0], 1.0 - hub[1]]), level)
     builder.geom("water_pool", COVER if pool.covered else WATER, mesh=builder.mesh(name, water),
                  material=material, pos=[*where, z])  # fmt: skip
     ring = _ring(outline - where, COPING_WIDTH_M, COPING_M)
@@ -99,8 +99,8 @@ def _inside(outline_m: Array) -> Array:
     return points[np.array(keep)]
 
 
-def _prism(outline: Array, uv: Array, hub_uv: Array, low: float, high: float) -> MeshData:
-    """Walls and a fan-shaped lid about the origin, (N, 2) counter-clockwise outline."""
+def _prism(outline: Array, uv: Array, hub_uv: Array, high: float) -> MeshData:
+    """Walls from -0.3 m and a fan-shaped lid about the origin, (N, 2) counter-clockwise outline."""
     count = len(outline)
     rim = np.column_stack([outline, np.full(count, high)])
     lid = MeshData(
@@ -108,7 +108,7 @@ def _prism(outline: Array, uv: Array, hub_uv: Array, low: float, high: float) ->
         faces=np.array([[i, (i + 1) % count, count] for i in range(count)], np.int32),
         uv=np.concatenate([uv, hub_uv[None]]),
     )
-    foot = np.column_stack([outline, np.full(count, low)])
+    foot = np.column_stack([outline, np.full(count, -0.3)])
     parts = [lid]
     for i in range(count):
         j = (i + 1) % count

@@ -21,9 +21,9 @@ UV_M = 2.4
 """Metres that one texture of rubble covers."""
 
 
-def rubble(rng: np.random.Generator, px: int = 384) -> Image:
-    """(px, px, 3): stones of all sizes in dark joints, grown from random seeds."""
-    count = 170
+def rubble(rng: np.random.Generator) -> Image:
+    """(384, 384, 3): stones of all sizes in dark joints, grown from random seeds."""
+    px, count = 384, 170
     seeds = rng.integers(0, px, (count, 2))
     marks = np.full((px, px), 255, np.uint8)
     marks[seeds[:, 0], seeds[:, 1]] = 0
@@ -43,10 +43,10 @@ def rubble(rng: np.random.Generator, px: int = 384) -> Image:
     return to_texture(image)
 
 
-def thatch(rng: np.random.Generator, size_px: tuple[int, int] = (512, 512)) -> Image:
-    """Both slopes of a thatched roof, ridge at the top of each half: reed in courses, a cut ridge
-    band, moss. size_px: (rows, columns)."""
-    rows, cols = size_px
+def thatch(rng: np.random.Generator) -> Image:
+    """(512, 512, 3): both slopes of a thatched roof, ridge at the top of each half: reed in
+    courses, a cut ridge band, moss."""
+    rows, cols = 512, 512
     streak = rng.standard_normal((rows, cols), dtype=np.float32)
     streak = cv2.GaussianBlur(streak, (0, 0), 0.7, None, 8.0) * 5.0
     tone = 1.0 + 0.16 * streak + 0.08 * fractal_noise(rng, (rows, cols), 60.0, 4)

@@ -31,8 +31,6 @@ from touchdown.sim.moving import BodyTrack
 from touchdown.sim.typing import Bytes, Float32, Int32
 
 CAMERA_NAME = "vehicle/camera"
-VEHICLE_GROUP = 4
-"""Geom group of the vehicle's own geoms, which its camera does not see."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -80,7 +80,7 @@ def test_shadows_are_those_of_the_light() -> None:
 
     def baked(light: Light, direction: NDArray[np.float64]) -> NDArray[np.float32]:
         with lit_by(light):
-            return bake_light([wall], terrain, direction, 256, 0.5)[128]
+            return bake_light([wall], terrain, direction, 256)[128]
 
     place = {x: 128 + 4 * x for x in (3, 12, 25)}
     day, dusk = baked("day", sun), baked("dusk", low)

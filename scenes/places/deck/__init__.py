@@ -9,7 +9,7 @@ import numpy as np
 
 from touchdown.scenes.api import Array, DeckParams, Image, MovingBody, Surface, Sway
 from touchdown.scenes.authoring import water
-from touchdown.scenes.authoring.builder import GEOM, SceneBuilder, fill_texture, quat_z
+from touchdown.scenes.authoring.builder import SceneBuilder, fill_texture, quat_z
 from touchdown.scenes.authoring.draft import SceneDraft
 from touchdown.scenes.authoring.generation import finish, scene_rng, start_scene
 from touchdown.scenes.authoring.meshes import MeshData, box, plaque
@@ -238,7 +238,7 @@ def _add_truck(builder: SceneBuilder, body: Any) -> None:
                  rgba=_BLACK)  # fmt: skip
     for x in (-3.2, -2.0, 3.2):
         for y in (-1.05, 1.05):
-            builder.geom("wheel", PAINTED, body, type=GEOM.mjGEOM_CYLINDER, size=[0.48, 0.16, 0],
+            builder.geom("wheel", PAINTED, body, cylinder=(0.48, 0.16),
                          pos=[x, y, 0.48], quat=[0.7071068, 0.7071068, 0.0, 0.0], contype=0,
                          rgba=_BLACK)  # fmt: skip
 

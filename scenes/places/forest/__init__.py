@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.scenes.api import Array, Surface
-from touchdown.scenes.authoring.builder import SceneBuilder, turned
+from touchdown.scenes.authoring.builder import SceneBuilder, quat_zy, turned
 from touchdown.scenes.authoring.draft import SceneDraft
 from touchdown.scenes.authoring.generation import finish, paint_terrain, scene_rng, start_scene
 from touchdown.scenes.authoring.ground import TEXELS, Canvas, Ground
@@ -190,7 +190,7 @@ def add_hide(builder: SceneBuilder, xy_m: Array, toward_xy_m: Array) -> None:
                      [-1.05, 0.95, 1.78]])  # fmt: skip
     tilt = float(np.arctan2(0.24, 2.1))
     builder.geom("hide_roof", WOOD, box=[1.08, 0.95, 0.04], pos=origin + [0.0, 0.0, floor + 1.9],
-                 rgba=[0.30, 0.34, 0.30, 1], quat=_yaw_pitch(heading, -tilt))  # fmt: skip
+                 rgba=[0.30, 0.34, 0.30, 1], quat=quat_zy(heading, -tilt))  # fmt: skip
     parts = [box((0.035, 0.28, 0.025), (-0.78 - 0.25 * (floor - z), 0.0, z))
              for z in np.arange(0.3, floor, 0.32)]  # fmt: skip
     rungs = builder.mesh(builder.unique("hide_ladder"), MeshData.join(parts))
@@ -202,12 +202,6 @@ def add_hide(builder: SceneBuilder, xy_m: Array, toward_xy_m: Array) -> None:
     builder.cast(turned(roof + [0.0, 0.0, floor], heading, origin))
     builder.cast_box((0.72, 0.72), (floor, floor + 1.7), heading, origin)
     builder.claim(xy_m, 1.8)
-
-
-def _yaw_pitch(yaw: float, pitch: float) -> list[float]:
-    """Quaternion wxyz of a turn about +y by ``pitch``, then about +z by ``yaw``."""
-    cy, sy, cp, sp = np.cos(yaw / 2), np.sin(yaw / 2), np.cos(pitch / 2), np.sin(pitch / 2)
-    return [float(cy * cp), float(-sy * sp), float(cy * sp), float(sy * cp)]
 
 
 def _add_log_pile(builder: SceneBuilder, wood: woods.Wood, plan: layout.Plan) -> None:

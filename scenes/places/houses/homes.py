@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from touchdown.scenes.api import Surface
-from touchdown.scenes.authoring.builder import GEOM, SceneBuilder
+from touchdown.scenes.authoring.builder import SceneBuilder
 from touchdown.scenes.authoring.ground import Canvas, Ground
 from touchdown.scenes.authoring.plane import pick
 from touchdown.scenes.authoring.plots import Plot, scatter
@@ -162,15 +162,14 @@ def _add_garage(builder: SceneBuilder, home: Home) -> None:
     v = home.front_v + 5.2
     spot = home.plot.at(home.drive_u, v)
     z = builder.terrain.point(*spot)
-    half = np.array([1.55, 2.9, 1.5])
-    pose = {"heading": home.plot.angle, "type": GEOM.mjGEOM_BOX}
-    builder.geom("building_garage", DOOR, size=half, pos=[*spot, z + 1.0],
-                 rgba=[0.80, 0.77, 0.72, 1], **pose)  # fmt: skip
-    builder.geom("building_garage_roof", DOOR, size=[1.65, 3.0, 0.06], pos=[*spot, z + 2.55],
-                 rgba=[0.34, 0.35, 0.36, 1], **pose)  # fmt: skip
+    heading = home.plot.angle
+    builder.geom("building_garage", DOOR, box=[1.55, 2.9, 1.5], pos=[*spot, z + 1.0],
+                 rgba=[0.80, 0.77, 0.72, 1], heading=heading)  # fmt: skip
+    builder.geom("building_garage_roof", DOOR, box=[1.65, 3.0, 0.06], pos=[*spot, z + 2.55],
+                 rgba=[0.34, 0.35, 0.36, 1], heading=heading)  # fmt: skip
     gate = home.plot.at(home.drive_u, v - 2.92)
-    builder.geom("building_gate", DOOR, size=[1.25, 0.03, 1.05], pos=[*gate, z + 1.05],
-                 rgba=[0.92, 0.92, 0.90, 1], **pose)  # fmt: skip
+    builder.geom("building_gate", DOOR, box=[1.25, 0.03, 1.05], pos=[*gate, z + 1.05],
+                 rgba=[0.92, 0.92, 0.90, 1], heading=heading)  # fmt: skip
     corners = [
         home.plot.at(home.drive_u + sx * 1.6, v + sy * 2.95) for sx in (-1, 1) for sy in (-1, 1)
     ]

@@ -162,9 +162,9 @@ def _place_islet(builder: SceneBuilder, plan: layout.Plan, nursery: Nursery) -> 
     builder.claim(plan.islet_xy_m, plan.islet_radius_m + 1.5)
 
 
-def _place_reeds(builder: SceneBuilder, around: Surroundings, limit: int = 74) -> None:
+def _place_reeds(builder: SceneBuilder, around: Surroundings) -> None:
     """Adds tufts close together in the shallows and on the mud of the reedy stretches."""
-    rng, plan = builder.rng, around.plan
+    rng, plan, limit = builder.rng, around.plan, 74
     bed = waterside.grow_reeds(builder)
     reedy = np.flatnonzero(plan.kinds == int(layout.Shore.REEDS))
     grown = 0

@@ -80,14 +80,13 @@ class Plan(SurveyFrame):
         reach = self.outline_m(bearing) + out_m
         return self.centre_xy_m + reach[:, None] * unit(bearing)
 
-    def middle_of(self, kind: Shore, rank: int = 0) -> float:
-        """Bearing of the middle of the ``rank``-th longest stretch of a kind."""
+    def middle_of(self, kind: Shore) -> float:
+        """Bearing of the middle of the longest stretch of a kind."""
         same = self.kinds == int(kind)
         start = int(np.argmin(same))
         turned = np.roll(same, -start).astype(int)
         edges = np.flatnonzero(np.diff(np.concatenate([[0], turned, [0]])))
-        runs = sorted(zip(edges[::2], edges[1::2], strict=True), key=lambda run: run[0] - run[1])
-        first, last = runs[min(rank, len(runs) - 1)]
+        first, last = edges.reshape(-1, 2)[np.argmax(edges[1::2] - edges[::2])]
         return float((0.5 * (first + last) + start) / _TURNS * 2.0 * np.pi)
 
 

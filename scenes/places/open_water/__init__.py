@@ -10,7 +10,7 @@ import numpy as np
 
 from touchdown.scenes.api import Array, GroundRaster, Surface
 from touchdown.scenes.authoring import water
-from touchdown.scenes.authoring.builder import GEOM, SceneBuilder, fill_texture
+from touchdown.scenes.authoring.builder import GEOM, SceneBuilder, add_material, fill_texture
 from touchdown.scenes.authoring.draft import SceneDraft
 from touchdown.scenes.authoring.generation import finish, scene_rng, start_scene
 from touchdown.scenes.authoring.ground import TEXELS, Canvas, Ground
@@ -154,10 +154,7 @@ def add_islet(builder: SceneBuilder, islet: Islet) -> GroundRaster:
 def place_islet(builder: SceneBuilder, islet: Islet) -> None:
     """Adds the height field and, around a clear middle, bushes, rocks and a beacon."""
     spec, rng = builder.spec, builder.rng
-    material = spec.add_material(name="islet", specular=0.0, shininess=0.0)
-    textures = list(material.textures)
-    textures[int(mujoco.mjtTextureRole.mjTEXROLE_RGB)] = "islet"
-    material.textures = textures
+    add_material(spec, "islet", "islet")
     spec.add_hfield(name="islet", nrow=ISLET_NODES, ncol=ISLET_NODES, size=[1.0, 1.0, 1.0, 1.0])
     surface = Surface(land_class="field", reflectivity=0.42)
     builder.surfaces["islet"] = surface
@@ -262,7 +259,7 @@ def _spread_water(builder: SceneBuilder, level_m: float, depth: water.Float32) -
     mesh = builder.mesh("water", plaque((HALF_M, HALF_M), below))
     sheet = Surface(land_class="water", reflectivity=water.WATER_REFLECTIVITY, water=True)
     builder.geom("water", sheet, mesh=mesh, material="water", pos=[0.0, 0.0, level_m])
-    light = bake_light(builder.casters, builder.terrain, builder.sun, TEXELS // 2, ambient=0.50)
+    light = bake_light(builder.casters, builder.terrain, builder.sun, TEXELS // 2)
     bed = fractal_noise(rng, (_DEPTH_PX, _DEPTH_PX), 20.0, 4, 0.6)
     coarse = np.clip(_SAND * (1.0 + 0.08 * bed[..., None]), 0.0, 255.0).astype(np.uint8)
     image = np.asarray(cv2.resize(coarse, (TEXELS, TEXELS)), np.uint8)

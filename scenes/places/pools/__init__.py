@@ -233,12 +233,12 @@ def _add_loungers(builder: SceneBuilder, plan: Plan, shades: Shades) -> None:
                 add_lounger(builder, model, spot, heading + rng.normal(0.0, 0.06))
 
 
-def outline(pool: Pool, beyond_m: float) -> Array:
-    """(N, 2) world outline of a basin, widened."""
+def outline(pool: Pool) -> Array:
+    """(N, 2) world outline of a basin, widened by 2 m."""
     middle = pool.outline_m.mean(axis=0)
     offset = pool.outline_m - middle
     reach = np.linalg.norm(offset, axis=1, keepdims=True)
-    return pool.plot.points(middle + offset * (1.0 + beyond_m / reach))
+    return pool.plot.points(middle + offset * (1.0 + 2.0 / reach))
 
 
 LINE_M = 0.12
@@ -346,7 +346,7 @@ def paint_all(rng: np.random.Generator, plan: Plan) -> Canvas:
     span = (min(plan.house_u, far), max(plan.house_u, far))
     canvas.fill(frame.rectangle(span, (v1, 44.5)), Ground.PAVERS)
     for kind in ("leisure", "paddling"):
-        canvas.fill(outline(plan.pool(kind), 2.0), Ground.PLANKS)
+        canvas.fill(outline(plan.pool(kind)), Ground.PLANKS)
     walk = frame.points(np.array([[u0 + 4.0, v0], [-27.0, -4.0], [-30.0, -14.0], plan.court_uv]))
     canvas.track(walk, 1.6, Ground.GRAVEL)
     u, v = plan.court_uv

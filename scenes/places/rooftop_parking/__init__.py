@@ -138,9 +138,10 @@ def _gate_x(plan: Plan) -> float:
     return float(plan.low_xy_m[0]) + 0.3 * float(plan.size_m[0])
 
 
-def car_park_bay(rng: np.random.Generator, px: int = 224) -> Image:
-    """(2 px, px, 3): a bay of an open car park as `scenes.props.houses.wall_mesh` lays it on: a
+def car_park_bay(rng: np.random.Generator) -> Image:
+    """(448, 224, 3): a bay of an open car park as `scenes.props.houses.wall_mesh` lays it on: a
     concrete balustrade, a dark opening and a column; the lower half is plain concrete."""
+    px = 224
     tone = 1.0 + 0.04 * fractal_noise(rng, (2 * px, px), 50.0, 4)
     tone += 0.02 * rng.standard_normal((2 * px, px), dtype=np.float32)
     image = tone[..., None] * np.array([178.0, 175.0, 168.0], np.float32)
@@ -286,8 +287,8 @@ def _light(builder: SceneBuilder, below: int, plan: Plan, ground: relief.HeightF
     ``below`` casters stand on the ground, the others on the deck."""
     pixels = TEXELS // 2
     casters, sun = builder.casters, builder.sun
-    light = bake_light(casters[:below], ground, sun, pixels, 0.50)
-    on_deck = bake_light(casters[below:], builder.terrain, sun, pixels, 0.50)
+    light = bake_light(casters[:below], ground, sun, pixels)
+    on_deck = bake_light(casters[below:], builder.terrain, sun, pixels)
     per_m = pixels / (2.0 * relief.HALF_M)
     (c0, r0), (c1, r1) = (
         np.round((corner + relief.HALF_M) * per_m).astype(int)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.scenes.api import Array, Surface
-from touchdown.scenes.authoring.builder import GEOM, SceneBuilder
+from touchdown.scenes.authoring.builder import SceneBuilder
 from touchdown.scenes.authoring.ground import Canvas, Ground
 from touchdown.scenes.authoring.meshes import MeshData, box
 from touchdown.scenes.authoring.noise import fractal_noise
@@ -421,6 +421,5 @@ def _add_units(builder: SceneBuilder, plan: Plan) -> None:
             builder, "building_unit", UNIT, [*(spot - half), z], [*(spot + half), top], _UNIT_RGBA
         )
         for dx in (-0.5, 0.5):
-            builder.geom("building_fan", UNIT, type=GEOM.mjGEOM_CYLINDER,
-                         pos=[x + dx * half[0], y, top], size=[0.36 * half[0], 0.05, 0],
-                         rgba=[0.25, 0.26, 0.28, 1], heading=0.0)  # fmt: skip
+            builder.geom("building_fan", UNIT, cylinder=(0.36 * half[0], 0.05),
+                         pos=[x + dx * half[0], y, top], rgba=[0.25, 0.26, 0.28, 1])  # fmt: skip

@@ -22,8 +22,6 @@ _FINE = TEXELS // 2
 _STEEP_DEG, _BARE_DEG = 35.0, 43.0
 """Slopes from which on ground is bare, and holds no snow"""
 _SNOW_M = 0.06
-_SHADE = 0.5
-"""Light of the sun on level ground"""
 _SOFT_M = 0.10
 """Depth below the edge of a shadow at which it is full"""
 
@@ -104,7 +102,7 @@ def light_slopes(
     # Nodes hold half of what a small rock rises.
     surface = upsample(terrain.heights_m, _FINE) + np.float32(0.4) * raised
     depth = shadow_depth(surface, sun, 2.0 * HALF_M / _FINE)
-    full = 1.0 - light_in_shadow(_SHADE)
+    full = 1.0 - light_in_shadow()
     left = 1.0 - full * np.clip((depth - 0.02) / _SOFT_M, 0.0, 1.0)
     wide = cv2.resize(left.astype(np.float32), (TEXELS, TEXELS), interpolation=cv2.INTER_LINEAR)
     np.multiply(tone, wide, out=tone, casting="unsafe")

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.scenes.api import Array, Image, Surface
-from touchdown.scenes.authoring.builder import GEOM, SceneBuilder, quat_z
+from touchdown.scenes.authoring.builder import SceneBuilder, quat_z
 from touchdown.scenes.authoring.meshes import blob
 from touchdown.scenes.authoring.noise import fractal_noise, tileable_noise
 from touchdown.scenes.authoring.plane import draw_heading, pick, rotated, unit, unit_ball
@@ -103,7 +103,7 @@ def add_snowman(builder: SceneBuilder, xy_m: Array) -> None:
         builder.geom("snowman", CAP, ball=radius, rgba=white, pos=centre)
         ring = radius * np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1.0]])
         builder.cast(centre + ring)
-    builder.geom("snowman", POLE, type=GEOM.mjGEOM_CYLINDER, size=[0.15, 0.09, 0],
+    builder.geom("snowman", POLE, cylinder=(0.15, 0.09),
                  rgba=[0.10, 0.10, 0.12, 1], pos=[*xy_m, z + 1.50])  # fmt: skip
     builder.claim(xy_m, 0.9)
 
