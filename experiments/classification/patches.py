@@ -25,6 +25,7 @@ from touchdown.experiments.scene_tools.posed_views import (
 )
 from touchdown.scenes.api import LAND_CLASSES, OTHER_CLASS_ID, Scene
 from touchdown.scenes.authoring.ground import varied_materials
+from touchdown.scenes.truth.static_surface import geom_classes
 from touchdown.sim.posed_sensors import PosedView
 from touchdown.sim.typing import Array, Image, Int32
 
@@ -149,16 +150,6 @@ def _quota(count: int, view: int, kinds: int) -> int:
     """Returns the number of patches of one of ``kinds`` classes up to this image: a fifth, or the
     same of each where there are fewer; later any number."""
     return max(1, count // min(5, kinds)) if view < count else count
-
-
-def geom_classes(scene: Scene) -> Int32:
-    """Returns the land class id (G,) of every geom, or ``OTHER_CLASS_ID``."""
-    table = np.full(scene.model.ngeom, OTHER_CLASS_ID, np.int32)
-    for geom in range(scene.model.ngeom):
-        surface = scene.surfaces.get(scene.model.geom(geom).name)
-        if surface is not None and surface.land_class in LAND_CLASSES:
-            table[geom] = LAND_CLASSES.index(surface.land_class)
-    return table
 
 
 def class_image(view: PosedView, scene: Scene, classes: Int32, matrix: Array) -> Int32:

@@ -95,8 +95,9 @@ def judge_touchdown(scene: Scene, xy: Array) -> TouchdownJudgement:
     """Judges one point, (2,) world, with rays 2 cm apart, so that thin objects count."""
     point = np.asarray(xy, np.float64)
     cells = int(np.ceil(CLEAR_RADIUS_M / PATCH_CELL_M)) + 1
-    heights, geoms = _patch(scene, point, cells)
     origin = point - (cells + 0.5) * PATCH_CELL_M
+    shape = (2 * cells + 1, 2 * cells + 1)
+    heights, geoms = static_surface.cast_down(scene, origin, PATCH_CELL_M, shape)
     classes = static_surface.class_ids(scene, origin, PATCH_CELL_M, heights, geoms)
     slope = fitted_slope_deg(heights, PATCH_CELL_M)
     only_here = np.zeros(heights.shape, bool)
@@ -154,12 +155,6 @@ def geometric_rule(
     pad = _disc(PAD_RADIUS_M, cell_m)
     clear = _disc(CLEAR_RADIUS_M, cell_m)
     return _clear_cells(heights, candidate, pad, clear, cell_m)
-
-
-def _patch(scene: Scene, point: Array, cells: int) -> tuple[Array, NDArray[np.int32]]:
-    """Heights and geoms on (2 cells + 1)^2 rays, the middle one at ``point``."""
-    origin = point - (cells + 0.5) * PATCH_CELL_M
-    return static_surface.cast_down(scene, origin, PATCH_CELL_M, (2 * cells + 1, 2 * cells + 1))
 
 
 def _dilate(mask: NDArray[np.bool_], radius_m: float, cell_m: float) -> NDArray[np.bool_]:

@@ -263,6 +263,17 @@ def raise_thin_things(
     np.fmax.at(heights, (row, col), cast_points(scene, line[inside])[0])
 
 
+def geom_classes(scene: api.Scene) -> Indices:
+    """(G + 1,) land-class ids of the geoms; `OTHER_CLASS_ID` for the rest, and at the end, which
+    stands for no geom."""
+    table = np.full(scene.model.ngeom + 1, api.OTHER_CLASS_ID, np.int32)
+    for geom in range(scene.model.ngeom):
+        surface = scene.surfaces.get(scene.model.geom(geom).name)
+        if surface is not None and surface.land_class in api.LAND_CLASSES:
+            table[geom] = api.LAND_CLASSES.index(surface.land_class)
+    return table
+
+
 def class_ids(
     scene: api.Scene,
     origin_xy_m: api.Array,
@@ -272,12 +283,7 @@ def class_ids(
 ) -> NDArray[np.uint8]:
     """Returns the land-class ids of the geoms that `cast_down` hit, (rows, cols); `OTHER_CLASS_ID`
     for the rest, and where the vehicle would fall through a class that is safe."""
-    table = np.full(scene.model.ngeom + 1, api.OTHER_CLASS_ID, np.uint8)
-    for geom in range(scene.model.ngeom):
-        surface = scene.surfaces.get(scene.model.geom(geom).name)
-        if surface is not None and surface.land_class in api.LAND_CLASSES:
-            table[geom] = api.LAND_CLASSES.index(surface.land_class)
-    ids = table[geoms]
+    ids = geom_classes(scene).astype(np.uint8)[geoms]
     ground = scene.ground
     centres = _centres(origin_xy_m, cell_m, geoms.shape)
     if ground is not None:

@@ -85,16 +85,6 @@ class CameraDegradations:
         if self._weather.ever or dust is not None:
             self._stretch = ray_stretch(raster)
 
-    @property
-    def ever(self) -> bool:
-        """True if an image of the schedule is not clear."""
-        return (
-            self._weather.ever
-            or self._dust is not None
-            or bool(self._dirty.faults)
-            or self._low_sun
-        )
-
     def at(self, tick: int) -> ImageDefects | None:
         """Degradations at ``tick``; None: a clear image."""
         air = self._weather.at(tick)

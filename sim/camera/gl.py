@@ -189,7 +189,7 @@ class Stage:
         for field, terrain in self._terrains.items():
             planted = (
                 vegetation is not None
-                and vegetation.field == field
+                and vegetation.terrain.field == field
                 and not vegetation.hides(frustum.eye)
             )
             if (field, planted) not in self._tiles:

@@ -101,12 +101,11 @@ class CameraSensor:
             )
         self._noise_key = [seed, crc32(camera_name.encode())]
         self._noise = optics.noise_tile(params, self._noise_key)
-        degradations = CameraDegradations(
+        self._degradations = CameraDegradations(
             faults or FaultParams(), tick_hz, params, self._lens.raster, self._model, seed,
             camera_name, dust=ground.dust,
         )  # fmt: skip
-        degradations.effects = self.effects
-        self._degradations = degradations if degradations.ever else None
+        self._degradations.effects = self.effects
         self._vegetation = ground.vegetation
         self._detail = (
             DetailTexture(scene, self._lens.raster, ground.vegetation) if params.detail else None
@@ -130,13 +129,13 @@ class CameraSensor:
         """(H, W, 3) uint8 RGB image, read-only, with the grey noise of ``tick``."""
         if self._rows is not None:
             return self._develop(snapshot, tick, None, 0.0, 0.0)
-        defects = self._degradations.at(tick) if self._degradations is not None else None
+        defects = self._degradations.at(tick)
         plain = self._lens.map_x is None and defects is None
         if plain:  # the common case: `develop` flips, so that nothing is copied twice
             raw = self._drawn(self._own_stage(), snapshot, 0, self._params.height).image
         else:
             raw = self._through_air_and_lens(snapshot, defects)
-        if self._degradations is not None and defects is not None:
+        if defects is not None:
             raw = self._degradations.through_lens(defects, raw, snapshot)
         table = optics.exposure_table(self._params, raw)
         if table is not None:
@@ -181,12 +180,12 @@ class CameraSensor:
         stage, raster = self._own_stage(), self._lens.raster
         drawn, read = self._drawn(stage, snapshot, 0, raster.height)
         depth = read or stage.inverse_depth_of_last(raster.height)
-        defects = self._degradations.at(tick) if self._degradations is not None else None
-        if self._degradations is not None and defects is not None and defects.extinction > 0.0:
+        defects = self._degradations.at(tick)
+        if defects is not None and defects.extinction > 0.0:
             drawn = self._degradations.through_air(defects, drawn, depth.metres(), 0)
         place = self._noise_place(tick)
         image, white = self._rows.develop(drawn, depth, motion, end_s, time_s, self._noise, place)
-        if self._degradations is not None and defects is not None:
+        if defects is not None:
             image = self._degradations.through_lens(defects, image, snapshot, white)
         if not self._rows.takes_time:
             table = optics.exposure_table(self._params, image)
@@ -228,7 +227,7 @@ class CameraSensor:
         first, last = optics.raster_rows(self._lens, rows)
         stage = self._own_stage()
         drawn = self._drawn(stage, instant, first, last).image
-        if self._degradations is not None and defects is not None and defects.extinction > 0.0:
+        if defects is not None and defects.extinction > 0.0:
             depth = stage.inverse_depth_of_last(last - first).metres()
             drawn = self._degradations.through_air(defects, drawn, depth, first)
         upright = np.ascontiguousarray(drawn[::-1])

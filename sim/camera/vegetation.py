@@ -25,20 +25,13 @@ _ENDLESS_M = 1e6
 class Vegetation:
     """Visible surface of the plants on a scene's terrain."""
 
-    field: int
-    """id of the height field"""
-    geom: int
-    """that shows it"""
-    origin_m: Array
-    """(3,) world, of the field's frame"""
-    half_m: Array
-    """(2,) half sides of the field, along its x and y, which are the world's"""
+    terrain: Terrain
     ground_m: Array
     """(rows, cols) heights of the ground at the vertices, world frame"""
     raised_m: Array
     """(rows, cols) heights of the plants' surface above it"""
     model: Any
-    """mujoco.MjModel of nothing but height fields, the one ``field`` with plants"""
+    """mujoco.MjModel of nothing but height fields, the one of ``terrain`` with plants"""
 
     @staticmethod
     def of(scene: Scene, plants: SurfaceDetail | None) -> "Vegetation | None":
@@ -62,10 +55,8 @@ class Vegetation:
         _keep_clear_of_objects(model, rest, geom, x, y, ground, raised)
         if not raised.any():
             return None
-        return Vegetation(
-            field, geom, origin, size[:2].copy(), ground, raised,
-            _fields(model, field, (data + raised / size[2]).ravel()),
-        )  # fmt: skip
+        fields = _fields(model, field, (data + raised / size[2]).ravel())
+        return Vegetation(terrain, ground, raised, fields)
 
     def raised_at(self, x: Array, y: Array) -> Array:
         """(N,) heights of the plants' surface above the ground at places (N,); 0 beyond it."""
@@ -85,8 +76,9 @@ class Vegetation:
 
     def _between(self, heights: Array, x: Array, y: Array) -> Array:
         rows, cols = heights.shape
-        u = (x - self.origin_m[0] + self.half_m[0]) * (0.5 * (cols - 1) / self.half_m[0])
-        v = (y - self.origin_m[1] + self.half_m[1]) * (0.5 * (rows - 1) / self.half_m[1])
+        origin, half = self.terrain.origin_m, self.terrain.half_m
+        u = (x - origin[0] + half[0]) * (0.5 * (cols - 1) / half[0])
+        v = (y - origin[1] + half[1]) * (0.5 * (rows - 1) / half[1])
         inside = (u >= 0.0) & (v >= 0.0) & (u <= cols - 1) & (v <= rows - 1)
         col = np.clip(np.floor(u), 0, cols - 2).astype(int)
         row = np.clip(np.floor(v), 0, rows - 2).astype(int)

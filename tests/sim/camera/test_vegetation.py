@@ -248,7 +248,7 @@ def test_the_model_of_physics_and_lidar_keeps_its_ground() -> None:
     made.close()
     np.testing.assert_array_equal(model.hfield_data, before)
     found = vegetation()
-    assert found.field == int(model.geom_dataid[model.geom("ground").id]) != 0
+    assert found.terrain.field == int(model.geom_dataid[model.geom("ground").id]) != 0
     assert found.model.hfield_data.max() > 0.0
 
 
