@@ -230,7 +230,7 @@ def footprints(
         where = np.array([np.interp(at, steps, line_m[:, k]) for k in (0, 1)])
         ahead = np.array([np.interp(at + 0.3, steps, line_m[:, k]) for k in (0, 1)])
         heading = float(np.arctan2(*(ahead - where)[::-1])) - 0.10 * left + rng.normal(0.0, 0.05)
-        foot = where + placed(np.zeros(2), heading, np.array([0.0, 0.13 * left]))
+        foot = placed(where, heading, np.array([0.0, 0.13 * left]))
         depth = rng.uniform(0.06, 0.10)
         fine.press(placed(foot, heading, OVAL * [0.20, 0.10]), -0.012)
         fine.press(placed(foot, heading, OVAL * [0.165, 0.058]), depth)

@@ -17,9 +17,8 @@ def smooth_noise(rng: np.random.Generator, shape: tuple[int, int], cells: float)
     coarse = (int(np.ceil(shape[0] / cells)) + 4, int(np.ceil(shape[1] / cells)) + 4)
     seeds = rng.standard_normal(coarse, dtype=np.float32)
     # Cubic interpolation of independent nodes loses variance between the nodes: 1.5 restores it.
-    scale_row, scale_col = 1.0 / cells, 1.0 / cells
     offset = rng.uniform(0.0, 1.0, 2) + 1.0
-    matrix = np.array([[scale_col, 0.0, offset[0]], [0.0, scale_row, offset[1]]])
+    matrix = np.array([[1.0 / cells, 0.0, offset[0]], [0.0, 1.0 / cells, offset[1]]])
     flags = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
     return 1.5 * cv2.warpAffine(
         seeds, matrix, (shape[1], shape[0]), flags=flags, borderMode=cv2.BORDER_REFLECT

@@ -35,6 +35,13 @@ def unit_ball(rings: int, sectors: int) -> Array:
     return np.stack([np.sin(polar) * np.cos(turn), np.sin(polar) * np.sin(turn), np.cos(polar)], -1)
 
 
+def wavy(bearing: Array, amplitude: Array, phase: Array) -> Array:
+    """(...) at bearings in radians, about 1: an outline whose k-th wave, of (K,), goes round k + 2
+    times."""
+    order = np.arange(len(amplitude)) + 2
+    return 1.0 + np.cos(np.multiply.outer(bearing, order) + phase) @ amplitude
+
+
 def rotated(points: Array, angle: float) -> Array:
     """(..., 2) points turned about the origin."""
     c, s = np.cos(angle), np.sin(angle)

@@ -66,6 +66,12 @@ def segment_distance(xy_m: Array, start_xy_m: Array, end_xy_m: Array) -> Array:
     return np.linalg.norm(xy_m - start_xy_m - t[..., None] * span, axis=-1)
 
 
+def cell_grid(count: int, half_m: float = HALF_M) -> Array:
+    """(count, count, 2) world points of the middles of cells of a square, row 0 at y_min."""
+    axis = (np.arange(count) + 0.5) / count * 2.0 * half_m - half_m
+    return np.stack(np.meshgrid(axis, axis), axis=-1)
+
+
 def natural_ground(rng: np.random.Generator, nodes: int = NODES) -> tuple[Array, Array]:
     """(nodes, nodes) metres: long swells, and hummocks of a step's size that come in patches, so
     that part of the lawns cannot be landed on; and (nodes, nodes, 2) world points of the nodes."""
@@ -76,8 +82,7 @@ def natural_ground(rng: np.random.Generator, nodes: int = NODES) -> tuple[Array,
     patches = smoothstep(-0.2, 1.1, fractal_noise(rng, shape, 16.0 / cell, 2).astype(np.float64))
     roughness = 0.006 + rng.uniform(0.07, 0.11) * patches
     heights = np.asarray(swell + roughness * hummocks, np.float64)
-    grid = HeightField(heights_m=heights).node_grid()
-    return heights, np.stack(grid, axis=-1)
+    return heights, HeightField(heights_m=heights).node_grid()
 
 
 def dig_ditches(heights: Array, xy: Array, ditches: Iterable[Ditch]) -> Array:
@@ -111,7 +116,7 @@ def level_takeoff(heights: Array, takeoff_xy_m: Array, half_m: float = HALF_M) -
     """The terrain of ``heights`` (N, N) with a level disc of 2 m around the take-off spot, moved
     up or down so that the height there is 0."""
     terrain = HeightField(heights_m=heights, half_m=half_m)
-    spot = np.linalg.norm(np.stack(terrain.node_grid(), axis=-1) - takeoff_xy_m, axis=-1)
+    spot = np.linalg.norm(terrain.node_grid() - takeoff_xy_m, axis=-1)
     level = float(terrain.at(takeoff_xy_m))
     heights = level + (heights - level) * smoothstep(TAKEOFF_FLAT_M + 0.5, TAKEOFF_BLEND_M, spot)
     return HeightField(heights_m=heights - level, half_m=half_m)
@@ -133,11 +138,10 @@ class HeightField:
         """Distance between neighbouring nodes in metres."""
         return 2.0 * self.half_m / (self.heights_m.shape[0] - 1)
 
-    def node_grid(self) -> tuple[Array, Array]:
-        """(N, N) x and y of the nodes in metres."""
+    def node_grid(self) -> Array:
+        """(N, N, 2) world points of the nodes."""
         axis = np.linspace(-self.half_m, self.half_m, self.heights_m.shape[0])
-        x, y = np.meshgrid(axis, axis)
-        return x, y
+        return np.stack(np.meshgrid(axis, axis), axis=-1)
 
     def at(self, xy_m: Array) -> Array:
         """Height in metres at (..., 2) world points, exactly on MuJoCo's triangles: each cell is

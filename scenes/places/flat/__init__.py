@@ -16,7 +16,7 @@ from touchdown.scenes.authoring.ground import Canvas, Ground, mown_askew
 from touchdown.scenes.authoring.noise import fractal_noise
 from touchdown.scenes.authoring.plane import SQUARE, pick, rotated, unit
 from touchdown.scenes.authoring.plots import SurveyFrame
-from touchdown.scenes.authoring.relief import HALF_M, HeightField
+from touchdown.scenes.authoring.relief import HALF_M, HeightField, cell_grid
 
 NODES = 9
 
@@ -47,9 +47,7 @@ def paint_parcels(rng: np.random.Generator, canvas: Canvas, angle: float) -> Non
     """Paints grass with strips of fields between headlands, edges frayed, and worn tracks along
     them."""
     size = len(canvas.material) // 4
-    half = canvas.half_m
-    axis = (np.arange(size) + 0.5) / size * 2.0 * half - half
-    x, y = np.meshgrid(axis, axis)
+    x, y = np.moveaxis(cell_grid(size, canvas.half_m), -1, 0)
     fray = fractal_noise(rng, (size, size), 26.0, 4, 0.6)
     along = np.cos(angle) * x + np.sin(angle) * y
     bend = rng.uniform(2.0, 6.0) * np.sin(along / rng.uniform(18.0, 34.0) + rng.uniform(0.0, 6.0))
@@ -102,7 +100,7 @@ def paint_pitch(rng: np.random.Generator, canvas: Canvas, centre_xy_m: Array) ->
     lines = [np.concatenate([SQUARE, SQUARE[:1]]) * half, ring]
     lines.append(np.array([[0.0, -half[1]], [0.0, half[1]]]))
     for side in (-1.0, 1.0):
-        lines.append((np.array([1.0, 0.0]) - box * [1.0, 1.0]) * half * [side, 1.0])
+        lines.append((np.array([1.0, 0.0]) - box) * half * [side, 1.0])
     for line in lines:
         _stripe(canvas, world(line))
     for spot in (np.zeros(2), np.array([0.72, 0.0]) * half, np.array([-0.72, 0.0]) * half):

@@ -176,7 +176,7 @@ def generate(seed: int) -> SceneDraft:
     plan = bridge.draw_plan(rng)
     bottom = bridge.shape_ground(rng, plan)
     surface = bottom if plan.over_road else np.maximum(bottom, plan.level_m)
-    terrain = HeightField(heights_m=surface, half_m=HALF_M)
+    terrain = HeightField(heights_m=surface)
     # Objects stand on the stream's bed, not on the water.
     bed = replace(terrain, heights_m=bottom)
     builder = generation.start_scene("footbridge", rng, terrain, support=bed)
@@ -184,7 +184,7 @@ def generate(seed: int) -> SceneDraft:
     paths = draw_paths(rng, plan)
     bridge.add_bridge(builder, plan)
     moving = furnish(builder, plan, paths, nursery)
-    canvas = Canvas(half_m=HALF_M)
+    canvas = Canvas()
     paint_ground(canvas, plan, paths, rng)
     turned = dict.fromkeys(Ground, plan.bridge.plot.angle)
     turned[Ground.LAWN] = float(rng.uniform(0.0, np.pi))

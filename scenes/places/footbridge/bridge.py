@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 
 from touchdown.scenes.api import Array, Image, Surface
-from touchdown.scenes.authoring.builder import SceneBuilder, quat_z, turned
+from touchdown.scenes.authoring.builder import SceneBuilder, turned
 from touchdown.scenes.authoring.meshes import MeshData, box, polygon
 from touchdown.scenes.authoring.noise import fractal_noise
 from touchdown.scenes.authoring.plane import pick
@@ -292,15 +292,17 @@ def _add_railing(
 def _add_supports(builder: SceneBuilder, plan: Plan) -> None:
     """Adds abutments at the tops of the banks, girders, and columns at their feet."""
     bridge = plan.bridge
-    quat, half = quat_z(bridge.plot.angle), 0.5 * bridge.width_m
+    heading, half = bridge.plot.angle, 0.5 * bridge.width_m
     low = bridge.end_m - bridge.thick_m
     for sign in (1.0, -1.0):
         spot = bridge.plot.at(sign * (bridge.half_length_m - 0.5), 0.0)
-        builder.geom("building_abutment", CONCRETE, rgba=_CONCRETE_RGBA, pos=[*spot,
-                     0.5 * (low - 1.6)], box=[0.6, half, 0.5 * (low + 1.6)], quat=quat)  # fmt: skip
+        builder.geom(
+            "building_abutment", CONCRETE, pos=[*spot, 0.5 * (low - 1.6)], heading=heading,
+            box=[0.6, half, 0.5 * (low + 1.6)], rgba=_CONCRETE_RGBA,
+        )  # fmt: skip
         girder = bridge.plot.at(0.0, sign * 0.55 * half)
         builder.geom("girder", STEEL, rgba=[0.30, 0.32, 0.33, 1], pos=[*girder, low - 0.18],
-                     box=[bridge.half_length_m - 0.2, 0.12, 0.18], quat=quat)  # fmt: skip
+                     box=[bridge.half_length_m - 0.2, 0.12, 0.18], heading=heading)  # fmt: skip
         for side in (1.0, -1.0):
             foot = bridge.plot.at(sign * (plan.floor_m + 0.9), side * 0.55 * half)
             z = builder.terrain.point(*foot)

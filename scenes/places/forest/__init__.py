@@ -15,7 +15,7 @@ from touchdown.scenes.authoring.meshes import MeshData, box
 from touchdown.scenes.authoring.noise import fractal_noise, tileable_noise
 from touchdown.scenes.authoring.plane import SQUARE, pick, rotated, unit
 from touchdown.scenes.authoring.plots import claim_free
-from touchdown.scenes.authoring.relief import HALF_M
+from touchdown.scenes.authoring.relief import HALF_M, cell_grid
 from touchdown.scenes.places.forest import layout
 from touchdown.scenes.props import woods
 from touchdown.scenes.props.plants import add_rock
@@ -362,10 +362,9 @@ _GRASS = {"start": Ground.MEADOW, "meadow": Ground.MEADOW, "plot": Ground.MEADOW
 def paint_floor(rng: np.random.Generator, plan: layout.Plan) -> Canvas:
     """Paints litter and ferns, grass in the clearings, the track and its ruts, the brook's muddy
     banks."""
-    canvas = Canvas(half_m=HALF_M)
+    canvas = Canvas()
     cell = 2.0 * HALF_M / _COARSE
-    axis = -HALF_M + (np.arange(_COARSE) + 0.5) * cell
-    xy = np.stack(np.meshgrid(axis, axis), axis=-1)
+    xy = cell_grid(_COARSE)
     ferns = fractal_noise(rng, (_COARSE, _COARSE), 9.0 / cell, 4, 0.6)
     fray = fractal_noise(rng, (_COARSE, _COARSE), 2.2 / cell, 3, 0.6)
     material = np.full((_COARSE, _COARSE), int(Ground.LITTER), np.uint8)

@@ -135,7 +135,7 @@ def shape_ground(rng: np.random.Generator, plan: Plan) -> HeightField:
     """Returns the forest's ground; the height at the take-off spot is 0."""
     heights = hills(rng)
     plain = HeightField(heights_m=heights)
-    xy = np.stack(plain.node_grid(), axis=-1)
+    xy = plain.node_grid()
     to_brook, at_brook = plan.brook.nearest(xy)
     bed = brook_profile(plan.brook, plain)
     valley = bed[at_brook] + BROOK_DEPTH_M + 0.05 * to_brook

@@ -11,7 +11,7 @@ from touchdown.scenes.authoring.ground import TEXELS, Canvas, Ground
 from touchdown.scenes.authoring.noise import fractal_noise
 from touchdown.scenes.authoring.plane import draw_heading, unit
 from touchdown.scenes.authoring.plots import Plot, claim_free
-from touchdown.scenes.authoring.relief import HALF_M, HeightField
+from touchdown.scenes.authoring.relief import HALF_M, HeightField, cell_grid
 from touchdown.scenes.authoring.water import WaterLook, upsample
 from touchdown.scenes.places.lake import layout
 from touchdown.scenes.props import waterside
@@ -264,8 +264,7 @@ def paint_shore(
 ) -> None:
     """Paints meadow, mown grass about the take-off spot, and the shore by its kind, edges
     frayed."""
-    axis = (np.arange(_SIZE) + 0.5) / _SIZE * 2.0 * HALF_M - HALF_M
-    xy = np.stack(np.meshgrid(axis, axis), axis=-1)
+    xy = cell_grid(_SIZE)
     shore = upsample(basin.shore_m, _SIZE)
     cells = _SIZE / (2.0 * HALF_M)
     fray = np.clip(fractal_noise(rng, (_SIZE, _SIZE), 4.0 * cells, 4, 0.6), -1.3, 1.3)

@@ -10,7 +10,7 @@ from scipy import ndimage
 
 from touchdown.scenes.api import Array
 from touchdown.scenes.authoring.noise import fractal_noise
-from touchdown.scenes.authoring.plane import unit
+from touchdown.scenes.authoring.plane import unit, wavy
 from touchdown.scenes.authoring.plots import SurveyFrame
 from touchdown.scenes.authoring.relief import HeightField, level_takeoff, natural_ground, smoothstep
 
@@ -53,9 +53,7 @@ class Plan(SurveyFrame):
 
     def outline_m(self, bearing: Array) -> Array:
         """Radius of the plain outline at bearings in radians."""
-        order = np.arange(len(self.waves)) + 2
-        phase = np.multiply.outer(bearing, order) + self.waves[:, 1]
-        return self.radius_m * (1.0 + np.cos(phase) @ self.waves[:, 0])
+        return self.radius_m * wavy(bearing, *self.waves.T)
 
     def outer(self, xy_m: Array) -> Array:
         """0 in the middle of the lake, 1 near its shore and beyond."""

@@ -17,7 +17,7 @@ from touchdown.scenes.authoring.ground import TEXELS, Canvas, Ground
 from touchdown.scenes.authoring.light import bake_light, ground_texture
 from touchdown.scenes.authoring.meshes import box, plaque
 from touchdown.scenes.authoring.noise import fractal_noise
-from touchdown.scenes.authoring.plane import draw_heading, pick, unit
+from touchdown.scenes.authoring.plane import draw_heading, pick, unit, wavy
 from touchdown.scenes.authoring.plots import Plot, SurveyFrame, free_spots
 from touchdown.scenes.authoring.relief import HeightField, level_takeoff, smoothstep, write_hfield
 from touchdown.scenes.props import waterside
@@ -93,14 +93,10 @@ class Islet:
 def shape_islet(rng: np.random.Generator) -> Islet:
     """Returns sand that rises out of the water to a grassy hump; the height at the origin is 0."""
     flat = HeightField(heights_m=np.zeros((ISLET_NODES, ISLET_NODES)), half_m=ISLET_HALF_M)
-    x, y = flat.node_grid()
-    order = np.arange(2, 6)
+    x, y = np.moveaxis(flat.node_grid(), -1, 0)
     amplitude = rng.uniform(0.3, 1.0, 4) * np.array([0.16, 0.08, 0.05, 0.04])
     phase = rng.uniform(0.0, 2.0 * np.pi, 4)
-    turn = np.arctan2(y, x)
-    outline = rng.uniform(7.0, 8.8) * (
-        1.0 + np.cos(np.multiply.outer(turn, order) + phase) @ amplitude
-    )
+    outline = rng.uniform(7.0, 8.8) * wavy(np.arctan2(y, x), amplitude, phase)
     ragged = 0.3 * fractal_noise(rng, x.shape, 3.0 / flat.cell_m, 3).astype(np.float64)
     shore = outline - np.hypot(x, y) + ragged
     hump = rng.uniform(0.5, 0.75) * smoothstep(0.0, 5.0, shore) + 0.05 * np.maximum(shore, 0.0)
@@ -227,7 +223,7 @@ def _surface(level_m: float, islet: Islet | None) -> HeightField:
     heights = np.full((_NODES, _NODES), level_m)
     terrain = HeightField(heights_m=heights, half_m=HALF_M)
     if islet is not None:
-        xy = np.stack(terrain.node_grid(), axis=-1)
+        xy = terrain.node_grid()
         near = (np.abs(xy) < islet.terrain.half_m).all(axis=-1)
         heights[near] = np.maximum(islet.terrain.at(xy[near]), level_m)
     return terrain

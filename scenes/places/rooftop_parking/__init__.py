@@ -19,6 +19,7 @@ from touchdown.scenes.authoring.plots import free_spots
 from touchdown.scenes.authoring.textures import to_texture
 from touchdown.scenes.places.rooftop_parking.deck import (
     STREET_M,
+    WORLD,
     Plan,
     deck_heights,
     draw_plan,
@@ -88,7 +89,6 @@ def shape_town(rng: np.random.Generator, plan: Plan, houses: list[House]) -> rel
 
 def paint_town(canvas: Canvas, plan: Plan, houses: list[House], rng: np.random.Generator) -> None:
     """Paints lawns, terraces, apron, pavements, streets with their markings."""
-    plot = plan.plot()
     for _ in range(7):
         middle, reach = rng.uniform(-relief.HALF_M, relief.HALF_M, 2), rng.uniform(4.0, 13.0)
         edge = unit_circle(28) * (1.0 + 0.25 * np.sin(3.0 * np.linspace(0.0, 6.28, 28)))[:, None]
@@ -103,12 +103,12 @@ def paint_town(canvas: Canvas, plan: Plan, houses: list[House], rng: np.random.G
         canvas.fill(house.centre_xy_m + rotated(corners, house.angle), around)
     apron = plan.low_xy_m - APRON_M, plan.high_xy_m + APRON_M
     canvas.fill(
-        plot.rectangle((apron[0][0], apron[1][0]), (apron[0][1], apron[1][1])), Ground.PAVEMENT
+        WORLD.rectangle((apron[0][0], apron[1][0]), (apron[0][1], apron[1][1])), Ground.PAVEMENT
     )
     along_x, along_y = plan.streets
     gate = _gate_x(plan)
     y0, y1 = sorted((float(plan.centre[1]), float(along_x.point(0.5 * along_x.length_m, 0.0)[1])))
-    canvas.fill(plot.rectangle((gate - 3.2, gate + 3.2), (y0, y1)), Ground.PAVERS)
+    canvas.fill(WORLD.rectangle((gate - 3.2, gate + 3.2), (y0, y1)), Ground.PAVERS)
     for street in plan.streets:
         streets.paint_street(canvas, street, pavement=Ground.PAVEMENT)
     for street in plan.streets:
@@ -169,9 +169,9 @@ def build_walls(builder: SceneBuilder, plan: Plan) -> None:
     builder.geom("building_car_park", WALL, mesh=mesh, material=material,
                  pos=[*plan.centre, -plan.height_m], contype=0, conaffinity=0)  # fmt: skip
     ground = -plan.height_m
-    (x0, y0), (x1, y1) = plan.low_xy_m - 0.2, plan.high_xy_m + 0.2
-    corners = np.array([[x, y, z] for x in (x0, x1) for y in (y0, y1) for z in (ground, 1.0)])
-    builder.cast(corners)
+    builder.cast_box(
+        (0.5 * size[0], 0.5 * size[1]), (ground, 1.0), 0.0, np.array([*plan.centre, 0.0])
+    )
 
 
 def furnish_town(

@@ -27,6 +27,7 @@ RAMP_DEPTH_M = 3.1
 STREET_M, PAVEMENT_M = 7.0, 2.4
 EDGE_M = 1.0
 """From the parapet to the first marking."""
+WORLD = Plot(origin_xy_m=np.zeros(2), angle=0.0)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -104,9 +105,6 @@ class Plan(SurveyFrame):
         start = float(self.centre[0]) - 0.5 * count * BAY_WIDTH_M
         return np.asarray(start + BAY_WIDTH_M * np.arange(count + 1), np.float64)
 
-    def plot(self) -> Plot:
-        return Plot(origin_xy_m=np.zeros(2), angle=0.0)
-
 
 def draw_plan(rng: np.random.Generator) -> Plan:
     """Returns a roof of 54..60 x 42 m whose south-west corner is below the survey's start."""
@@ -160,10 +158,9 @@ LINE_M = 0.10
 def deck_heights(rng: np.random.Generator, plan: Plan, terrain: HeightField) -> Array:
     """(N, N) heights over the whole grid of ``terrain``: the ground's, and on the deck's nodes the
     deck's, whose take-off spot is at height 0."""
-    x, y = terrain.node_grid()
-    xy = np.stack([x, y], axis=-1)
-    nearest = np.min([np.abs(y - aisle) for aisle in plan.aisles()], axis=0)
-    uneven = 0.004 * fractal_noise(rng, x.shape, 3.0 / NODE_M, 3)
+    xy = terrain.node_grid()
+    nearest = np.min([np.abs(xy[..., 1] - aisle) for aisle in plan.aisles()], axis=0)
+    uneven = 0.004 * fractal_noise(rng, xy.shape[:2], 3.0 / NODE_M, 3)
     deck = FALL * np.minimum(nearest, 9.0) + uneven - plan.ramp.depth(xy)
     level = HeightField(heights_m=deck).at(plan.takeoff_xy_m)
     return np.where(plan.inside(xy), deck - level, terrain.heights_m)
@@ -189,77 +186,70 @@ def write_deck(spec: Any, plan: Plan, both: HeightField, image: NDArray[np.uint8
 
 def paint_deck(canvas: Canvas, plan: Plan, rng: np.random.Generator) -> None:
     """Paints bays, arrows, hatched areas, joints, gullies and stains."""
-    plot = plan.plot()
     low, high = plan.low_xy_m, plan.high_xy_m
-    canvas.fill(plot.rectangle((low[0], high[0]), (low[1], high[1])), Ground.ROOF_DECK)
+    canvas.fill(WORLD.rectangle((low[0], high[0]), (low[1], high[1])), Ground.ROOF_DECK)
     ramp = plan.ramp
     ends = sorted((ramp.top_x_m, ramp.foot_x_m))
-    canvas.fill(plot.rectangle((ends[0], ends[1]), (ramp.low_y_m, ramp.high_y_m)), Ground.ASPHALT)
+    canvas.fill(WORLD.rectangle((ends[0], ends[1]), (ramp.low_y_m, ramp.high_y_m)), Ground.ASPHALT)
     _paint_wear(canvas, plan, rng)
     lines = plan.bays_x()
     for mouth, head, _ in plan.rows():
         for x in lines:
-            canvas.mark(plot.rectangle((x - 0.5 * LINE_M, x + 0.5 * LINE_M), (mouth, head)))
-        if head not in (low[1] + EDGE_M,):
-            canvas.mark(plot.rectangle((lines[0], lines[-1]), (head - 0.05, head + 0.05)))
+            canvas.mark(WORLD.rectangle((x - 0.5 * LINE_M, x + 0.5 * LINE_M), (mouth, head)))
+        if head != low[1] + EDGE_M:
+            canvas.mark(WORLD.rectangle((lines[0], lines[-1]), (head - 0.05, head + 0.05)))
     for index, aisle in enumerate(plan.aisles()):
         way = 1.0 if index == 0 else -1.0
         for x in np.arange(lines[0] + 4.0, lines[-1] - 3.0, 11.0):
-            _arrow(canvas, plan, float(x), aisle, way)
+            _arrow(canvas, float(x), aisle, way)
     for x0, x1 in ((low[0] + EDGE_M, lines[0]), (lines[-1], high[0] - EDGE_M)):
         # Where rows end at the cross lanes: hatched noses.
         side = x0 if x0 == lines[-1] else x1
         nose = 1.2 * (1.0 if x0 == lines[-1] else -1.0)
         rows = plan.rows()
-        _hatch(canvas, plan, (side, side + nose), (rows[1][0], rows[2][0]))
+        _hatch(canvas, (side, side + nose), (rows[1][0], rows[2][0]))
     strip = float(plan.rows()[3][1])
     span = (plan.stairs_x_m - 4.5, plan.stairs_x_m + 4.5)
-    _hatch(canvas, plan, span, (strip + 0.4, strip + 1.4))
+    _hatch(canvas, span, (strip + 0.4, strip + 1.4))
     beyond = (ends[0] - 0.2, ends[1] + 0.2)
-    for y in (ramp.low_y_m - 0.95,):
-        canvas.mark(plot.rectangle(beyond, (y - 0.08, y + 0.08)))
+    y = ramp.low_y_m - 0.95
+    canvas.mark(WORLD.rectangle(beyond, (y - 0.08, y + 0.08)))
     for x in lines[3:-3:9]:
-        _wheelchair(canvas, plan, float(x) + 0.5 * BAY_WIDTH_M, plan.rows()[3][0] + 2.6)
+        _wheelchair(canvas, float(x) + 0.5 * BAY_WIDTH_M, plan.rows()[3][0] + 2.6)
 
 
-def _hatch(canvas: Canvas, plan: Plan, x: tuple[float, float], y: tuple[float, float]) -> None:
+def _hatch(canvas: Canvas, x: tuple[float, float], y: tuple[float, float]) -> None:
     """Oblique stripes in a frame."""
     x0, x1, y0, y1 = *sorted(x), *sorted(y)
-    plot = plan.plot()
     high = y1 - y0
     for start in np.arange(x0 - high, x1, 0.9):
         first, last = max(0.0, x0 - start), min(high, x1 - 0.2 - start)
         if last > first:
             foot, head = start + first, start + last
-            canvas.mark(plot.points(np.array([
-                [foot, y0 + first], [foot + 0.2, y0 + first], [head + 0.2, y0 + last],
-                [head, y0 + last],
-            ])))  # fmt: skip
+            canvas.mark(np.array([[foot, y0 + first], [foot + 0.2, y0 + first],
+                                  [head + 0.2, y0 + last], [head, y0 + last]]))  # fmt: skip
     for edge in (y0, y1):
-        canvas.mark(plot.rectangle((x0, x1), (edge - 0.05, edge + 0.05)))
+        canvas.mark(WORLD.rectangle((x0, x1), (edge - 0.05, edge + 0.05)))
 
 
-def _arrow(canvas: Canvas, plan: Plan, x: float, y: float, way: float) -> None:
-    plot = plan.plot()
-    canvas.mark(plot.rectangle((x - 1.1, x + 0.6), (y - 0.08, y + 0.08)) * [way, 1.0]
-                + [(1.0 - way) * x, 0.0])  # fmt: skip
+def _arrow(canvas: Canvas, x: float, y: float, way: float) -> None:
+    canvas.mark(WORLD.rectangle((x - way * 1.1, x + way * 0.6), (y - 0.08, y + 0.08)))
     tip = np.array([[x + way * 0.5, y - 0.36], [x + way * 1.5, y], [x + way * 0.5, y + 0.36]])
-    canvas.mark(plot.points(tip))
+    canvas.mark(tip)
 
 
-def _wheelchair(canvas: Canvas, plan: Plan, x: float, y: float) -> None:
+def _wheelchair(canvas: Canvas, x: float, y: float) -> None:
     """A ring with a back and a head, as on bays for the disabled."""
-    plot = plan.plot()
     circle = np.concatenate([unit_circle(24), unit_circle(24)[:1]])
     canvas.mark(np.array([x, y]) + np.concatenate([0.62 * circle, 0.48 * circle[::-1]]))
-    canvas.mark(plot.rectangle((x - 0.14, x + 0.02), (y, y + 0.9)))
+    canvas.mark(WORLD.rectangle((x - 0.14, x + 0.02), (y, y + 0.9)))
     canvas.mark(np.array([x - 0.05, y + 1.15]) + 0.17 * unit_circle(14))
-    canvas.mark(plot.rectangle((x, x + 0.6), (y + 0.02, y + 0.15)))
+    canvas.mark(WORLD.rectangle((x, x + 0.6), (y + 0.02, y + 0.15)))
 
 
 def _paint_wear(canvas: Canvas, plan: Plan, rng: np.random.Generator) -> None:
     """Paints joints between slabs, sealed cracks, tyre tracks, gullies, oil under the bays."""
-    plot, low, high = plan.plot(), plan.low_xy_m, plan.high_xy_m
+    low, high = plan.low_xy_m, plan.high_xy_m
     for x in np.arange(low[0] + 7.5, high[0] - 1.0, 7.5):
         canvas.trace(np.array([[x, low[1]], [x, high[1]]]), 0.05, 150)
     for y in (plan.rows()[1][1], plan.rows()[3][1] + 0.2):
@@ -270,7 +260,7 @@ def _paint_wear(canvas: Canvas, plan: Plan, rng: np.random.Generator) -> None:
             x = np.linspace(low[0] + 2.0, high[0] - 2.0, 40)
             canvas.trace(np.column_stack([x, aisle + offset + wander]), 0.22, 26)
         for x in np.arange(low[0] + 6.0, high[0] - 3.0, 9.0):
-            canvas.soil(plot.rectangle((x - 0.25, x + 0.25), (aisle - 0.2, aisle + 0.2)), 215)
+            canvas.soil(WORLD.rectangle((x - 0.25, x + 0.25), (aisle - 0.2, aisle + 0.2)), 215)
     for mouth, head, _ in plan.rows():
         middle = 0.5 * (mouth + head)
         for x in plan.bays_x()[:-1] + 0.5 * BAY_WIDTH_M:
@@ -335,9 +325,8 @@ def block(
     """A box between two corners, (3,) world, with its shadow."""
     low, high = np.array(first, np.float64), np.array(last, np.float64)
     builder.geom(stem, surface, pos=0.5 * (low + high), box=0.5 * (high - low), rgba=rgba)
-    corners = np.array([[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1])
-                        for z in (low[2], high[2])])  # fmt: skip
-    builder.cast(corners)
+    half = 0.5 * (high - low)
+    builder.cast_box((half[0], half[1]), (-half[2], half[2]), 0.0, 0.5 * (low + high))
 
 
 def _add_parapets(builder: SceneBuilder, plan: Plan) -> None:

@@ -9,7 +9,7 @@ from touchdown.scenes.authoring.generation import finish, paint_terrain, scene_r
 from touchdown.scenes.authoring.ground import TEXELS, Canvas, Ground
 from touchdown.scenes.authoring.noise import fractal_noise
 from touchdown.scenes.authoring.plane import unit
-from touchdown.scenes.authoring.relief import HALF_M, HeightField
+from touchdown.scenes.authoring.relief import HALF_M, HeightField, cell_grid
 from touchdown.scenes.authoring.water import upsample
 from touchdown.scenes.places.snow import layout
 from touchdown.scenes.places.snow.objects import SNOW, lay_ice, place_objects
@@ -25,7 +25,7 @@ def generate(seed: int) -> SceneDraft:
     builder = start_scene("snow", rng, relief.terrain, sun_deg=SUN_DEG)
     place_objects(builder, plan, relief)
     lay_ice(builder, plan, relief)
-    canvas = Canvas(half_m=HALF_M)
+    canvas = Canvas()
     canvas.material[:] = int(Ground.SNOW)
     fine = fine_relief(rng, plan, relief)
     paint_tracks(rng, canvas, fine, plan, relief)
@@ -40,11 +40,10 @@ def fine_relief(
 ) -> micro_relief.MicroRelief:
     """Returns the relief that the nodes cannot hold: small ridges along the wind where it has cut,
     faint ripples elsewhere."""
-    fine = micro_relief.MicroRelief(half_m=HALF_M)
+    fine = micro_relief.MicroRelief()
     size = TEXELS // 2
     small = 1024
-    axis = (np.arange(small) + 0.5) / small * 2.0 * HALF_M - HALF_M
-    xy = np.stack(np.meshgrid(axis, axis), axis=-1)
+    xy = cell_grid(small)
     cut = upsample(relief.sastrugi, small)
     dry = np.clip(upsample(relief.pond_m, small), 0.0, 1.0)
     ridges = (0.006 + 0.020 * cut) * layout.sastrugi(rng, plan, xy, 0.85)
@@ -99,7 +98,7 @@ def paint_tracks(
     shore = plan.pond_xy_m + 1.2 * (plan.hut_xy_m - plan.pond_xy_m) * (
         plan.pond_radius_m / np.hypot(*(plan.hut_xy_m - plan.pond_xy_m))
     )
-    door = plan.hut_xy_m + micro_relief.placed(np.zeros(2), plan.hut_angle, np.array([0.0, -3.0]))
+    door = micro_relief.placed(plan.hut_xy_m, plan.hut_angle, np.array([0.0, -3.0]))
     bearing = rng.uniform(-0.2, 0.2) + plan.takeoff_yaw
     beside = plan.takeoff_xy_m + 5.0 * unit(bearing)
     for origin, end, sway in (
@@ -134,7 +133,7 @@ def paint_ice(
     canvas.material[whole > 0] = int(Ground.ICE)
     inside = cv2.resize((edge < 0.0).astype(np.uint8), (TEXELS, TEXELS)) > 0
     fine.prints[inside] = 128
-    pond = HeightField(heights_m=relief.pond_m, half_m=HALF_M)
+    pond = HeightField(heights_m=relief.pond_m)
     for _ in range(int(rng.integers(9, 14))):
         heading = rng.uniform(0.0, 2.0 * np.pi) + np.cumsum(rng.normal(0.0, 0.16, 60))
         start = plan.pond_xy_m + rng.uniform(-0.8, 0.8, 2) * plan.pond_radius_m

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from touchdown.scenes.api import Array
 from touchdown.scenes.authoring.noise import fractal_noise
-from touchdown.scenes.authoring.plane import unit
+from touchdown.scenes.authoring.plane import unit, wavy
 from touchdown.scenes.authoring.plots import SurveyFrame, draw_frame
 from touchdown.scenes.authoring.relief import HALF_M, HeightField, level_takeoff, smoothstep
 
@@ -99,9 +99,7 @@ def pond_distance(rng: np.random.Generator, plan: Plan, xy: Array) -> Array:
     """(N, N) metres from the pond's edge at grid nodes, to first order; negative inside."""
     rel = xy - plan.pond_xy_m
     bearing = np.arctan2(rel[..., 1], rel[..., 0])
-    order = np.arange(len(plan.pond_waves)) + 2
-    phase = np.multiply.outer(bearing, order) + plan.pond_waves[:, 1]
-    outline = plan.pond_radius_m * (1.0 + np.cos(phase) @ plan.pond_waves[:, 0])
+    outline = plan.pond_radius_m * wavy(bearing, *plan.pond_waves.T)
     cell = float(xy[0, 1, 0] - xy[0, 0, 0])
     ragged = 0.35 * fractal_noise(rng, xy.shape[:2], 5.0 / cell, 2).astype(np.float64)
     return np.hypot(rel[..., 0], rel[..., 1]) - outline + ragged

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchdown.scenes.api import Array, Image, Surface
-from touchdown.scenes.authoring.builder import SceneBuilder, quat_z
+from touchdown.scenes.authoring.builder import SceneBuilder
 from touchdown.scenes.authoring.meshes import blob
 from touchdown.scenes.authoring.noise import fractal_noise, tileable_noise
 from touchdown.scenes.authoring.plane import draw_heading, pick, rotated, unit, unit_ball
@@ -68,16 +68,16 @@ def add_snowy_rock(builder: SceneBuilder, xy_m: Array, radius_m: float) -> None:
     rng = builder.rng
     half = radius_m * rng.uniform([0.9, 0.75, 0.55], [1.3, 1.0, 0.75])
     z = builder.terrain.point(*xy_m)
-    quat = quat_z(draw_heading(rng))
+    heading = draw_heading(rng)
     mesh = builder.mesh(builder.unique("rock"), blob(rng, half, 2.5, 0.10, 7, 1.0))
     grey = rng.uniform(0.36, 0.50)
-    builder.geom("rock", ROCK, mesh=mesh, pos=[*xy_m, z], quat=quat,
+    builder.geom("rock", ROCK, mesh=mesh, pos=[*xy_m, z], heading=heading,
                  rgba=[grey, 0.97 * grey, 0.93 * grey, 1])  # fmt: skip
     builder.cast(np.array([*xy_m, z]) + half.mean() * _BALL)
     # The cap lies on the upper half: where it would touch the sides, the boulder sticks out.
     cap = half * [0.80, 0.80, 0.42]
     mesh = builder.mesh(builder.unique("cap"), blob(rng, cap, 2.2, 0.08, 7, 1.0))
-    builder.geom("cap", CAP, mesh=mesh, pos=[*xy_m, z + 0.72 * half[2]], quat=quat,
+    builder.geom("cap", CAP, mesh=mesh, pos=[*xy_m, z + 0.72 * half[2]], heading=heading,
                  rgba=[*(SNOW_RGB / 255.0), 1])  # fmt: skip
 
 
@@ -88,9 +88,7 @@ def add_snow_pole(builder: SceneBuilder, xy_m: Array) -> None:
     for low, high, rgba in ((-0.3, 1.25, wood), (1.25, 1.6, red)):
         builder.geom("pole", POLE, cylinder=0.03, rgba=rgba,
                      fromto=[*xy_m, z + low, *xy_m, z + high])  # fmt: skip
-    square = 0.03 * np.array([[1, 1, 0], [1, -1, 0], [-1, 1, 0], [-1, -1, 0]], np.float64)
-    foot = np.array([*xy_m, z])
-    builder.cast(np.concatenate([foot + square, foot + square + [0.0, 0.0, 1.6]]))
+    builder.cast_box((0.03, 0.03), (0.0, 1.6), 0.0, np.array([*xy_m, z]))
     builder.claim(xy_m, 0.6)
 
 
@@ -115,6 +113,7 @@ SNOW = Surface(land_class="field", reflectivity=0.87)
 ICE = Surface(land_class="water", reflectivity=0.06, water=True)
 ICE_FRICTION = 0.08
 _ICE_RISE_M = 0.004
+"""of what is touched over the ice that is seen"""
 _GREY_WOOD = [0.40, 0.34, 0.29, 1.0]
 
 
@@ -237,12 +236,7 @@ def lay_ice(builder: SceneBuilder, plan: Plan, relief: Relief) -> None:
             continue
         first, last = axis[cols[0]], axis[cols[-1]]
         half = np.array([0.5 * (last - first) + 0.1 * cell, 0.5 * step * cell, 0.1])
-        centre = [0.5 * (first + last), axis[row] + half[1], relief_top(relief) - half[2]]
+        centre = [0.5 * (first + last), axis[row] + half[1], relief.ice_m + _ICE_RISE_M - half[2]]
         builder.geom("water_ice", ICE, box=half, pos=centre,
                      group=FIRST_HIDDEN_GROUP, friction=[ICE_FRICTION, 0.005, 0.0001], priority=2,
                      rgba=[0.6, 0.7, 0.75, 1])  # fmt: skip
-
-
-def relief_top(relief: Relief) -> float:
-    """World height of the slabs, a few millimetres over the ice that is seen."""
-    return relief.ice_m + _ICE_RISE_M

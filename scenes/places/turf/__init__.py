@@ -12,11 +12,7 @@ from touchdown.scenes.authoring.relief import HALF_M, HeightField, level_takeoff
 from touchdown.scenes.authoring.water import WaterLook, upsample
 from touchdown.scenes.places.turf.airfield import Airfield
 from touchdown.scenes.places.turf.golf import Golf
-from touchdown.scenes.places.turf.layout import (
-    Turf,
-    plant_edge,
-    undulation,
-)
+from touchdown.scenes.places.turf.layout import Turf, plant_edge, undulation
 from touchdown.scenes.places.turf.pitch import Pitch
 from touchdown.scenes.props.woods import grow_wood
 
@@ -56,7 +52,7 @@ def shape_ground(
     """Returns the terrain, level water included, and the water's depth at its nodes (N, N),
     negative on land. The height at the take-off spot is 0."""
     heights = undulation(rng, float(rng.uniform(0.40, 0.60)))
-    xy = np.stack(HeightField(heights_m=heights).node_grid(), axis=-1)
+    xy = HeightField(heights_m=heights).node_grid()
     heights = turf.shape(heights, xy)
     depth = turf.pools(xy)
     heights = level_pools(heights, depth)

@@ -11,10 +11,7 @@ from touchdown.scenes.authoring.ground import Canvas, Ground
 from touchdown.scenes.authoring.meshes import MeshData, polygon, walls
 from touchdown.scenes.authoring.plane import draw_heading, unit
 from touchdown.scenes.authoring.plots import Plot, SurveyFrame
-from touchdown.scenes.places.turf.layout import (
-    furnish_path,
-    stroke,
-)
+from touchdown.scenes.places.turf.layout import furnish_path, stroke
 from touchdown.scenes.props.garden import add_table
 from touchdown.scenes.props.houses import House, add_house
 from touchdown.scenes.props.street import add_fence, add_lamp, add_post
@@ -95,16 +92,9 @@ class Airfield:
                     Ground.FAIRWAY)  # fmt: skip
         canvas.track(self.path, 3.4, Ground.GRAVEL)
         canvas.track(np.array([self.ditch.start_xy_m, self.ditch.end_xy_m]), 0.9, Ground.MUD)
+        along, sway = np.linspace(-0.8 * half, 0.7 * half, 40), 0.3 * np.sin(np.arange(40) / 5.0)
         for wheel in (-1.1, 1.1):
-            line = plot.points(
-                np.column_stack(
-                    [
-                        np.linspace(-0.8 * half, 0.7 * half, 40),
-                        v + wheel + 0.3 * np.sin(np.arange(40) / 5.0),
-                    ]
-                )
-            )
-            canvas.trace(line, 0.3, 60)
+            canvas.trace(plot.points(np.column_stack([along, v + wheel + sway])), 0.3, 60)
         self._markings(canvas)
 
     def _markings(self, canvas: Canvas) -> None:

@@ -9,11 +9,8 @@ from touchdown.scenes.authoring.ground import Canvas, Ground
 from touchdown.scenes.authoring.meshes import box
 from touchdown.scenes.authoring.plane import unit
 from touchdown.scenes.authoring.plots import Plot, SurveyFrame
-from touchdown.scenes.authoring.relief import HALF_M, smoothstep
-from touchdown.scenes.places.turf.layout import (
-    furnish_path,
-    plant_one,
-)
+from touchdown.scenes.authoring.relief import HALF_M, cell_grid, smoothstep
+from touchdown.scenes.places.turf.layout import furnish_path, plant_one
 from touchdown.scenes.props.plants import add_rock
 from touchdown.scenes.props.street import WOOD, add_bench, add_bin, add_post
 from touchdown.scenes.props.woods import Wood
@@ -89,9 +86,7 @@ class Golf:
         return np.asarray(np.min(np.broadcast_arrays(*gaps), axis=0))
 
     def paint(self, canvas: Canvas, rng: np.random.Generator) -> None:
-        cell = 2.0 * HALF_M / _COARSE
-        axis = -HALF_M + (np.arange(_COARSE) + 0.5) * cell
-        xy = np.stack(np.meshgrid(axis, axis), axis=-1)
+        xy = cell_grid(_COARSE)
         uv = self.plot.coordinates(xy)
         distance, _ = cKDTree(self.fairway).query(xy)
         green = self._edge(uv, self.green, self.green_m, self.phases[6])
