@@ -43,11 +43,10 @@ def foliage(rng: np.random.Generator, base: Colour, leaf_px: tuple[int, int]) ->
     return image
 
 
-def roof_tiles(
-    rng: np.random.Generator, base: Colour, size_m: tuple[float, float], px_per_m: float
-) -> Image:
+def roof_tiles(rng: np.random.Generator, base: Colour, size_m: tuple[float, float]) -> Image:
     """Courses of interlocking tiles, courses run along the texture's width. size_m: (width,
     height); base: RGB 0..255."""
+    px_per_m = 56.0
     width, height = (max(8, round(s * px_per_m)) for s in size_m)
     rows, cols = np.mgrid[0:height, 0:width].astype(np.float32) / px_per_m
     course_m, tile_m = 0.34, 0.30
@@ -69,8 +68,9 @@ def roof_tiles(
     return to_texture(image + 4.0 * grain[..., None])
 
 
-def flat_roof(rng: np.random.Generator, size_m: tuple[float, float], px_per_m: float) -> Image:
+def flat_roof(rng: np.random.Generator, size_m: tuple[float, float]) -> Image:
     """Gravelled bitumen with sheet seams, puddle stains and a swept walkway."""
+    px_per_m = 48.0
     width, height = (max(8, round(s * px_per_m)) for s in size_m)
     grain = rng.standard_normal((height, width), dtype=np.float32)
     pebbles = cv2.GaussianBlur(rng.standard_normal((height, width), dtype=np.float32), (0, 0), 1.3)
@@ -130,8 +130,9 @@ def hedge_or_soil_tint(rng: np.random.Generator, base: Colour, spread: float) ->
     return float(red), float(green), float(blue)
 
 
-def planks(rng: np.random.Generator, px: int = 256) -> Image:
-    """(px, px, 3), light grey-brown boards of an eighth of the texture, to be tinted."""
+def planks(rng: np.random.Generator) -> Image:
+    """(256, 256, 3), light grey-brown boards of an eighth of the texture, to be tinted."""
+    px = 256
     rows, _ = np.mgrid[0:px, 0:px].astype(np.float32)
     board = np.floor(rows / (px / 8)).astype(int)
     tone = 0.86 + 0.07 * rng.standard_normal(8).astype(np.float32)[board]

@@ -69,7 +69,7 @@ def tiled_roof(rng: np.random.Generator, length: float, slope_m: float) -> NDArr
     """A texture for both slopes of a roof, ``slope_m`` from ridge to eaves each, in a colour of
     its own."""
     base = pick(rng, ROOFS)
-    image = roof_tiles(rng, base, (length, 2.0 * slope_m), 56.0)
+    image = roof_tiles(rng, base, (length, 2.0 * slope_m))
     _finish_roof(rng, image)
     return image
 
@@ -227,7 +227,7 @@ def _add_skylights(rng: np.random.Generator, image: NDArray[np.uint8], half_px: 
 def _add_flat_roof(builder: SceneBuilder, house: House, name: str, origin: Array) -> None:
     rng = builder.rng
     length, width, height = house.size_m
-    material = builder.material(f"{name}_roof", flat_roof(rng, (length, width), 48.0))
+    material = builder.material(f"{name}_roof", flat_roof(rng, (length, width)))
     x, y = 0.5 * length, 0.5 * width
     body = box((x, y, 0.025), (0.0, 0.0, 0.025), 1e3)
     mesh = builder.mesh(f"{name}_roof", plaque((x, y), body, 0.06))

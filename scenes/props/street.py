@@ -29,13 +29,10 @@ def add_lamp(builder: SceneBuilder, xy_m: Array, heading: float, height_m: float
     head = np.array([*tip, z + height_m + 0.22])
     builder.geom("lamp_head", STEEL, rgba=[0.78, 0.79, 0.78, 1], pos=head, heading=heading,
                  box=[0.34, 0.14, 0.06])  # fmt: skip
-    square = np.array([[sx, sy] for sx in (-1, 1) for sy in (-1, 1)], np.float64)
-    foot = np.column_stack([xy_m + 0.075 * square, np.full(4, z)])
-    builder.cast(np.concatenate([foot, foot + np.array([0.0, 0.0, height_m])]))
-    joint = np.array([*xy_m, z + height_m])
-    ends = [end + 0.06 * np.array([*c, 0.0]) for end in (joint, head) for c in square]
-    builder.cast(np.array(ends))
-    builder.cast(head + np.column_stack([0.3 * square, np.zeros(4)]))
+    foot, joint = np.array([*xy_m, z]), np.array([*xy_m, z + height_m])
+    _cast_bar(builder, foot, joint, 0.075)
+    _cast_bar(builder, joint, head, 0.06)
+    builder.cast_box((0.3, 0.3), (0.0,), 0.0, head)
     builder.claim(xy_m, 0.6)
 
 

@@ -159,10 +159,9 @@ def add_net(builder: SceneBuilder, xy_m: Array, heading: float) -> None:
     z = float(np.mean([builder.terrain.point(*end) for end in ends]))
     for end in ends:
         add_pile(builder, end, z + 2.5, 0.05)
-    turn = quat_z(heading)
-    builder.geom("net", NET, box=[0.01, 4.7, 0.45], quat=turn,
+    builder.geom("net", NET, box=[0.01, 4.7, 0.45], heading=heading,
                  pos=[*xy_m, z + 1.98], rgba=[0.16, 0.17, 0.2, 0.45])  # fmt: skip
-    builder.geom("net_tape", SIGN, box=[0.02, 4.7, 0.04], quat=turn,
+    builder.geom("net_tape", SIGN, box=[0.02, 4.7, 0.04], heading=heading,
                  pos=[*xy_m, z + 2.43], rgba=[0.95, 0.95, 0.92, 1])  # fmt: skip
     builder.cast_box((0.03, 4.7), (2.43,), heading, np.array([*xy_m, z]))
     builder.claim(xy_m, 5.2)
@@ -293,11 +292,16 @@ def add_boat(
     # Upturned: half a turn about the boat's long axis first.
     quat = [0.0, np.cos(half), np.sin(half), 0.0] if upturned else quat_z(heading)
     builder.geom("boat", BOAT, mesh=mesh, material=material, pos=origin, quat=quat)
-    outline = np.stack([(np.linspace(0, 1, len(_BEAM)) - 0.5) * length, 0.18 * length * _BEAM], -1)
-    both = np.concatenate([outline, outline * [1.0, -1.0]])
-    top = np.column_stack([both, np.full(len(both), 0.1 if upturned else 0.36)])
-    builder.cast(turned(top, heading, origin), 0.9)
+    rim = _rim(length, 0.36 * length, 0.1 if upturned else 0.36)
+    builder.cast(turned(rim, heading, origin), 0.9)
     builder.claim(xy_m, 0.5 * length + 0.4)
+
+
+def _rim(length_m: float, width_m: float, z_m: float) -> Array:
+    """(N, 3) outline of a hull, for shadows."""
+    x = (np.linspace(0.0, 1.0, len(_BEAM)) - 0.5) * length_m
+    half = 0.5 * width_m * _BEAM
+    return np.column_stack([np.tile(x, 2), [*half, *-half], np.full(2 * len(x), z_m)])
 
 
 def add_sailing_boat(builder: SceneBuilder, xy_m: Array, heading: float) -> None:
@@ -309,8 +313,7 @@ def add_sailing_boat(builder: SceneBuilder, xy_m: Array, heading: float) -> None
     material = builder.material(name, boat_texture(rng, paint, True), 0.2)
     mesh = builder.mesh(name, hull_mesh(length, 0.33 * length, 0.72, True))
     origin = builder.on_ground(xy_m)
-    pose = {"pos": origin, "heading": heading}
-    builder.geom("boat", BOAT, mesh=mesh, material=material, **pose)
+    builder.geom("boat", BOAT, mesh=mesh, material=material, pos=origin, heading=heading)
 
     def at(x: float, y: float, z: float) -> Array:
         return turned(np.array([[x, y, z]]), heading, origin)[0]
@@ -331,9 +334,7 @@ def add_sailing_boat(builder: SceneBuilder, xy_m: Array, heading: float) -> None
         builder.geom("boat_mast", BOAT, fromto=[*start, *end], capsule=radius, rgba=rgba)
         spread = np.array([[radius, 0, 0], [-radius, 0, 0], [0, radius, 0]])
         builder.cast(np.concatenate([start + spread, end + spread]))
-    outline = np.stack([(np.linspace(0, 1, len(_BEAM)) - 0.5) * length, 0.165 * length * _BEAM], -1)
-    both = np.concatenate([outline, outline * [1.0, -1.0]])
-    builder.cast(turned(np.column_stack([both, np.full(len(both), 0.75)]), heading, origin), 0.95)
+    builder.cast(turned(_rim(length, 0.33 * length, 0.75), heading, origin), 0.95)
     builder.claim(xy_m, 0.5 * length + 1.0)
 
 

@@ -197,7 +197,7 @@ class Wood:
     bark: str = ""
     birch: str = ""
     trunks: dict[str, str] = field(default_factory=dict)
-    """trunk mesh by crown mesh, and by `trunk_key` for broad-leaved trees"""
+    """trunk mesh by the crown mesh of a conifer"""
     stumps: list[Crown] = field(default_factory=list)
 
 
@@ -217,7 +217,7 @@ def grow_wood(builder: SceneBuilder) -> Wood:
     grow_conifers(builder, wood, (6.5, 8.5, 10.0, 11.5, 13.0), (1.6, 2.6), (0.21, 0.25))
     for length in TRUNKS_M:
         top = (length + 1.8, 0.12)
-        wood.trunks[trunk_key(length)] = _trunk(builder, trunk_key(length), 0.24, top)
+        _trunk(builder, trunk_name(length), 0.24, top)
     for index, radius in enumerate(CROWN_RADII_M):
         half = radius * np.array([1.0, 1.0, rng.uniform(0.68, 0.85)])
         mesh = builder.mesh(f"canopy_{index}", canopy_mesh(rng, half, 10, 2.6))
@@ -269,7 +269,7 @@ def grow_shrubs(
         wood.shrubs.append(Crown(mesh=mesh, radius_m=radius, height_m=float(half[2])))
 
 
-def trunk_key(bare_m: float) -> str:
+def trunk_name(bare_m: float) -> str:
     """Mesh name of the trunk of a broad-leaved tree that is bare up to ``bare_m``."""
     return f"trunk_{round(10.0 * bare_m)}"
 
@@ -321,7 +321,7 @@ def add_broadleaf(
     rng = builder.rng
     z = builder.terrain.point(*xy_m)
     material = wood.birch if rng.random() < 0.25 else wood.bark
-    _add_trunk(builder, wood.trunks[trunk_key(trunk_m)], material, np.array([*xy_m, z]))
+    _add_trunk(builder, trunk_name(trunk_m), material, np.array([*xy_m, z]))
     at = np.array([*xy_m, z + trunk_m + 0.9 * crown.height_m])
     turn = draw_heading(rng)
     builder.geom("trees_crown", BROADLEAF, mesh=crown.mesh, material=leaf, pos=at, heading=turn)

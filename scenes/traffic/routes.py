@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import binary_erosion
 
 from touchdown.scenes import api
+from touchdown.scenes.authoring.streets import path_length
 from touchdown.scenes.traffic import walkers
 from touchdown.scenes.traffic.walkers import Part, Speeds
 from touchdown.scenes.truth import static_surface
@@ -119,10 +120,9 @@ class Traffic:
             "car": walkers.DRIVE,
         }[one.kind]  # fmt: skip
         path = ground.round(rng, on_roads=one.kind == "car")
-        length = float(np.linalg.norm(np.roll(path, -1, axis=0) - path, axis=1).sum())
         return walkers.bodies(
             one.parts, path, alive=alive, speed_mps=float(rng.uniform(*speeds)),
-            start_m=float(rng.uniform(0.0, length)),
+            start_m=float(rng.uniform(0.0, path_length(path))),
         )  # fmt: skip
 
 

@@ -171,12 +171,9 @@ def build_farmstead(
     back = [[0.0, YARD_V + 1.2], [0.0, DEPTH_M], [WIDTH_M, DEPTH_M], [WIDTH_M, YARD_V + 1.2]]
     stonework.add_stone_wall(builder, plot.points(np.array(back)), 0.85)
     _clutter(builder, farmstead, models)
-    garden.add_crop_rows(
-        builder, plot.at(5.4, 21.3), plot.angle, (7.4, 2.6), rng.uniform(0.25, 0.5)
-    )
-    garden.add_crop_rows(
-        builder, plot.at(5.4, 25.1), plot.angle, (7.4, 2.6), rng.uniform(0.25, 0.5)
-    )
+    for bed_v in (21.3, 25.1):
+        spot, height = plot.at(5.4, bed_v), rng.uniform(0.25, 0.5)
+        garden.add_crop_rows(builder, spot, plot.angle, (7.4, 2.6), height)
     _bean_poles(builder, plot.at(5.4, 18.6), plot.angle)
     if rng.random() < 0.5:
         garden.add_greenhouse(builder, plot.at(WIDTH_M - 3.0, 26.6), plot.angle)
@@ -268,12 +265,8 @@ def place_objects(builder: SceneBuilder, plan: Plan, farmsteads: list[Farmstead]
     rng, frame = builder.rng, plan.frame
     nursery = plants.plant_nursery(builder)
     models = add_car_models(builder, 4)
-    roofs = [
-        stonework.thatch(rng),
-        stonework.thatch(rng),
-        houses.tiled_roof(rng, 11.0, 4.6),
-        houses.tiled_roof(rng, 11.0, 4.6),
-    ]
+    roofs = [stonework.thatch(rng) for _ in range(2)]
+    roofs += [houses.tiled_roof(rng, 11.0, 4.6) for _ in range(2)]
     looks = houses.paint_house_looks(builder, roofs)
     builder.claim(plan.takeoff_xy_m, 6.5)
     builder.claim(frame.points(plan.lawn_uv), 4.5)
@@ -390,9 +383,6 @@ def paint_ground(
         canvas.trace(lane.offset_line(side), 0.35, 34)
     for _ in range(26):
         spot = lane.point(rng.uniform(0.0, lane.length_m), rng.normal(0.0, 0.9))
-        blot = rng.uniform(0.15, 0.5) * rng.uniform(0.6, 1.2, (12, 1)) * frame.axes[0]
-        round_ = unit_circle(12)
-        canvas.soil(
-            spot + np.linalg.norm(blot, axis=1)[:, None] * round_, int(rng.integers(40, 120))
-        )
+        blot = rng.uniform(0.15, 0.5) * rng.uniform(0.6, 1.2, (12, 1)) * unit_circle(12)
+        canvas.soil(spot + blot, int(rng.integers(40, 120)))
     return canvas

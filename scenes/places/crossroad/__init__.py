@@ -237,8 +237,7 @@ class Farm(Theme):
                      rgba=[0.80, 0.68, 0.40, 1])  # fmt: skip
         across = np.array([-np.sin(turn), np.cos(turn), 0.0]) * radius
         up = np.array([0.0, 0.0, radius])
-        angles = np.linspace(0.0, 2.0 * np.pi, 16, endpoint=False)
-        rim = np.cos(angles)[:, None] * across + np.sin(angles)[:, None] * up
+        rim = unit_circle(16) @ np.stack([across, up])
         builder.cast(np.concatenate([at - axis + rim, at + axis + rim]))
 
 
@@ -366,7 +365,7 @@ def scatter_edge_trees(builder: SceneBuilder, plan: layout.Plan, nursery: plants
 
 def paint_ground(rng: np.random.Generator, plan: layout.Plan, themes: list[Theme]) -> Canvas:
     """Paints materials, markings and stains: plots first, roads over them."""
-    canvas = Canvas(half_m=HALF_M)
+    canvas = Canvas()
     for theme in themes:
         theme.paint(canvas)
     layout.paint_surfaces(canvas, plan)

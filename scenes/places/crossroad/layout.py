@@ -1,7 +1,6 @@
 """Plan of the roads in signed distances; their surfaces, markings, kerbs and traffic."""
 
 from dataclasses import dataclass
-from functools import lru_cache
 from itertools import pairwise
 
 import numpy as np
@@ -32,7 +31,7 @@ class Road:
     @property
     def across(self) -> Array:
         """Unit vector to the left of ``along``."""
-        return _across(self.angle)
+        return left_of(self.angle)
 
     def point(self, along_m: float, across_m: float) -> Array:
         """(2,) world point at road coordinates, origin at the junction."""
@@ -76,7 +75,8 @@ class Plan(SurveyFrame):
         """(..., 2) world points at signed distances (metres, left positive) from both centre
         lines."""
         rel = np.stack(np.broadcast_arrays(main_m, side_m), axis=-1)
-        return self.main.junction_xy_m + rel @ _from_distances(self.main.angle, self.side.angle)
+        inverse = np.linalg.inv(np.stack([self.main.across, self.side.across]))
+        return self.main.junction_xy_m + rel @ inverse.T
 
     def corner_arc(self, signs: tuple[int, int], distance_m: float, steps: int = 9) -> Array:
         """(steps, 2) points of the rounded corner at ``distance_m`` outside the kerb line, from
@@ -91,32 +91,13 @@ class Plan(SurveyFrame):
 
     def corner_outline(self, signs: tuple[int, int], distance_m: float) -> Array:
         """Returns the corner's filling between the straight roads and `corner_arc`, (N, 2)."""
-        inner = self.offset_point(
-            np.array(signs[0] * 0.4 * self.main.width_m),
-            np.array(signs[1] * 0.4 * self.side.width_m),
+        main, side = 0.4 * self.main.width_m, 0.4 * self.side.width_m
+        far_main = 0.5 * self.main.width_m + self.corner_radius_m
+        far_side = 0.5 * self.side.width_m + self.corner_radius_m
+        corners = self.offset_point(
+            signs[0] * np.array([far_main, main, main]), signs[1] * np.array([side, side, far_side])
         )
-        reach = self.corner_radius_m
-        arc = self.corner_arc(signs, distance_m)
-        first = self.offset_point(
-            np.array(signs[0] * 0.4 * self.main.width_m),
-            np.array(signs[1] * (0.5 * self.side.width_m + reach)),
-        )
-        last = self.offset_point(
-            np.array(signs[0] * (0.5 * self.main.width_m + reach)),
-            np.array(signs[1] * 0.4 * self.side.width_m),
-        )
-        return np.concatenate([inner[None], first[None], arc, last[None]])
-
-
-def _across(angle: float) -> Array:
-    return left_of(angle)
-
-
-@lru_cache(maxsize=1)  # objects are placed one by one
-def _from_distances(main_angle: float, side_angle: float) -> Array:
-    """(2, 2) that distances from the centre lines, a row, are multiplied by."""
-    inverse: Array = np.linalg.inv(np.stack([_across(main_angle), _across(side_angle)]))
-    return inverse.T
+        return np.concatenate([corners, self.corner_arc(signs, distance_m)])
 
 
 QUADRANTS: dict[str, tuple[int, int]] = {"NE": (1, -1), "NW": (1, 1), "SW": (-1, 1), "SE": (-1, -1)}

@@ -170,10 +170,7 @@ def _add_garage(builder: SceneBuilder, home: Home) -> None:
     gate = home.plot.at(home.drive_u, v - 2.92)
     builder.geom("building_gate", DOOR, box=[1.25, 0.03, 1.05], pos=[*gate, z + 1.05],
                  rgba=[0.92, 0.92, 0.90, 1], heading=heading)  # fmt: skip
-    corners = [
-        home.plot.at(home.drive_u + sx * 1.6, v + sy * 2.95) for sx in (-1, 1) for sy in (-1, 1)
-    ]
-    builder.cast(np.array([[*corner, z + h] for corner in corners for h in (0.0, 2.55)]))
+    builder.cast_box((1.6, 2.95), (0.0, 2.55), heading, np.array([*spot, z]))
     builder.claim(spot, 3.4)
 
 

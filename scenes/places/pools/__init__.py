@@ -42,8 +42,8 @@ class Plan(SurveyFrame):
     """All spans in ``frame`` coordinates, (first, last) metres; the car park lies towards +v."""
 
     frame: Plot
-    pools: tuple[Pool, ...]
-    """lanes, leisure, covered, paddling: in no fixed order along u"""
+    pools: dict[str, Pool]
+    """`lanes`, `leisure`, `covered` and `paddling`, in no fixed order along u"""
     deck: tuple[Span, Span]
     pitch: tuple[Span, Span]
     pitch_ground: Ground
@@ -70,10 +70,6 @@ class Plan(SurveyFrame):
             pad(float(self.court_uv[0]), float(self.court_uv[1]), (9.5, 5.5), 2.0),
         ]
 
-    def pool(self, kind: str) -> Pool:
-        """`lanes`, `leisure`, `covered` or `paddling`."""
-        return dict(zip(("lanes", "leisure", "covered", "paddling"), self.pools, strict=True))[kind]
-
 
 def draw_plan(rng: np.random.Generator) -> Plan:
     """Returns three large basins side by side in any order, the paddling pool before them."""
@@ -90,20 +86,18 @@ def draw_plan(rng: np.random.Generator) -> Plan:
         start += widths[kind] + gap
     v = 15.5 + shift
     lanes = int(rng.integers(4, 7))
-    outlines = {
-        "lanes": rectangle_outline(middle["lanes"], v, 25.0, 2.1 * lanes, 0.15),
-        "leisure": kidney_outline(rng, middle["leisure"], v - 0.5, rng.uniform(5.4, 6.2)),
-        "covered": rectangle_outline(middle["covered"], v, 8.0, 5.5, 0.3),
-    }
+    long = rectangle_outline(middle["lanes"], v, 25.0, 2.1 * lanes, 0.15)
+    kidney = kidney_outline(rng, middle["leisure"], v - 0.5, rng.uniform(5.4, 6.2))
+    covered = rectangle_outline(middle["covered"], v, 8.0, 5.5, 0.3)
     small_u = middle["leisure"] + (13.5 if order.index("leisure") < 1 else -13.5)
     small_u = float(np.clip(small_u, -34.0, 34.0))
     round_ = 2.4 * unit_circle(28) + [small_u, v - 10.6]
-    basins = (
-        Pool(plot=frame, outline_m=outlines["lanes"], lanes=lanes),
-        Pool(plot=frame, outline_m=outlines["leisure"]),
-        Pool(plot=frame, outline_m=outlines["covered"], covered=True),
-        Pool(plot=frame, outline_m=round_),
-    )
+    basins = {
+        "lanes": Pool(plot=frame, outline_m=long, lanes=lanes),
+        "leisure": Pool(plot=frame, outline_m=kidney),
+        "covered": Pool(plot=frame, outline_m=covered, covered=True),
+        "paddling": Pool(plot=frame, outline_m=round_),
+    }
     first = rng.uniform(-6.0, 1.0)
     takeoff = np.array([-25.0, -20.0]) + rng.uniform(-1.5, 1.5, 2)
     low = -28.0 + rng.uniform(-2.0, 2.0)
@@ -138,7 +132,7 @@ Shades = list[tuple[str, str]]
 
 def build_bath(builder: SceneBuilder, plan: Plan, nursery: Nursery, shades: Shades) -> None:
     """Adds all objects on the deck and behind it."""
-    for pool in plan.pools:
+    for pool in plan.pools.values():
         add_pool(builder, pool)
     _add_slide(builder, plan)
     _add_guards(builder, plan)
@@ -159,7 +153,7 @@ def build_bath(builder: SceneBuilder, plan: Plan, nursery: Nursery, shades: Shad
 
 def _add_slide(builder: SceneBuilder, plan: Plan) -> None:
     """Adds a chute that ends in the leisure pool, coming from behind it."""
-    pool = plan.pool("leisure")
+    pool = plan.pools["leisure"]
     low, high = pool.box_m
     u = 0.5 * (low[0] + high[0]) + builder.rng.uniform(-1.5, 1.5)
     inside = pool.outline_m[np.abs(pool.outline_m[:, 0] - u) < 1.2]
@@ -169,13 +163,13 @@ def _add_slide(builder: SceneBuilder, plan: Plan) -> None:
 
 
 def _add_guards(builder: SceneBuilder, plan: Plan) -> None:
-    low, high = plan.pool("lanes").box_m
+    pool = plan.pools["lanes"]
+    low, high = pool.box_m
     frame = plan.frame
     add_guard_chair(builder, frame.at(0.5 * (low[0] + high[0]), low[1] - 1.3), frame.away)
     # Starting blocks, one for each lane.
-    lanes = plan.pool("lanes").lanes
-    for lane in range(lanes):
-        v = low[1] + (lane + 0.5) * (high[1] - low[1]) / lanes
+    for lane in range(pool.lanes):
+        v = low[1] + (lane + 0.5) * (high[1] - low[1]) / pool.lanes
         spot = frame.at(float(high[0]) + 0.75, float(v))
         builder.geom("block", SHED, box=[0.28, 0.26, 0.32], pos=builder.on_ground(spot, 0.3),
                      heading=frame.angle, rgba=[0.92, 0.92, 0.9, 1])  # fmt: skip
@@ -201,9 +195,7 @@ def _add_buildings(builder: SceneBuilder, plan: Plan) -> None:
         z = builder.terrain.point(*spot)
         builder.geom("building_cabin", SHED, box=[0.74, 0.8, 1.25], pos=[*spot, z + 1.0],
                      heading=frame.angle, rgba=tints[index % 4])  # fmt: skip
-        corners = [[*frame.at(first + side * 1.55 * index + sx * 0.74, 34.5 + sy * 0.8), z + h]
-                   for sx in (-1, 1) for sy in (-1, 1) for h in (0.0, 2.25)]  # fmt: skip
-        builder.cast(np.array(corners))
+        builder.cast_box((0.74, 0.8), (0.0, 2.25), frame.angle, np.array([*spot, z]))
         builder.claim(spot, 1.1)
     kiosk = House(centre_xy_m=frame.at(first + side * 8.0, 41.0), angle=frame.angle,
                   size_m=(5.0, 4.0, 2.8), ridge_m=1.3, hipped=True)  # fmt: skip
@@ -346,7 +338,7 @@ def paint_all(rng: np.random.Generator, plan: Plan) -> Canvas:
     span = (min(plan.house_u, far), max(plan.house_u, far))
     canvas.fill(frame.rectangle(span, (v1, 44.5)), Ground.PAVERS)
     for kind in ("leisure", "paddling"):
-        canvas.fill(outline(plan.pool(kind)), Ground.PLANKS)
+        canvas.fill(outline(plan.pools[kind]), Ground.PLANKS)
     walk = frame.points(np.array([[u0 + 4.0, v0], [-27.0, -4.0], [-30.0, -14.0], plan.court_uv]))
     canvas.track(walk, 1.6, Ground.GRAVEL)
     u, v = plan.court_uv
