@@ -108,7 +108,7 @@ def _place_jetty(builder: SceneBuilder, around: Surroundings) -> None:
         reach, side = 0.5 * part.size_m[0] - 0.15, 0.5 * part.size_m[1] + 0.08
         count = max(2, round(part.size_m[0] / 3.2))
         feet = [[x, y] for x in np.linspace(-reach, reach, count) for y in (-side, side)]
-        for spot in part.plot.points(feet):
+        for spot in part.plot.points(np.array(feet)):
             waterside.add_pile(builder, spot, top + float(rng.uniform(0.35, 0.7)))
         for x in np.arange(-reach, reach + 0.1, 1.0):
             builder.claim(part.plot.at(x, 0.0), side)
