@@ -52,22 +52,26 @@ class Remote:
                     self._files.get_file(f"{self._root}/{name}", str(partial))
 
     def send(self) -> None:
-        """Sends the runs that are only here, and the files of the campaign."""
+        """Sends what is only here: runs, recordings of runs flown once more, and the files of the
+        campaign."""
         for run_id in sorted(finished_ids(self.directory)):
-            if f"{RUNS}/{run_id}/{ROW_FILE}" not in self._there:
-                self.send_run(run_id)
+            self.send_run(run_id)
         failed = [f"{FAILED}/{path.name}" for path in self.directory.glob(f"{FAILED}/*.json")]
         for name in (SOURCE_FILE, PLAN_FILE, RESULTS_FILE, *failed):
             self.send_file(name)
 
     def send_run(self, run_id: str) -> None:
-        """Sends a run, the row last: without it the run is not there."""
-        names = [path.name for path in (self.directory / RUNS / run_id).iterdir()]
-        for name in sorted(names, key=lambda name: name == ROW_FILE):
-            self.send_file(f"{RUNS}/{run_id}/{name}")
+        """Sends a run, the row last: without it the run is not there. Of one that is there, sends
+        the files that are not."""
+        folder = f"{RUNS}/{run_id}"
+        names = {f"{folder}/{path.name}" for path in (self.directory / folder).iterdir()}
+        row = f"{folder}/{ROW_FILE}"
+        for name in sorted(names - self._there if row in self._there else names, key=row.__eq__):
+            self.send_file(name)
         if (failed := f"{FAILED}/{run_id}.json") in self._there:
             with self._said():
                 self._files.rm_file(f"{self._root}/{failed}")
+            self._there.discard(failed)
 
     def send_file(self, name: str) -> None:
         """Sends a file of the copy, if there is one."""

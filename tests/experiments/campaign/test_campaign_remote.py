@@ -56,6 +56,13 @@ def test_what_was_not_sent_is_sent_at_the_next_start(
     assert set(attempts(remote.Remote(f"file://{tmp_path}/there").directory).values()) == {1}
 
 
+def test_a_recording_of_a_second_flight_is_sent(tmp_path: Path) -> None:
+    assert fly_to(tmp_path, axes(scene=["flat"], estimator=["fake:is_lost"], seeds="0")) == 1
+    assert [path.parent.name for path in (tmp_path / "there").rglob("flight.rrd")] == [
+        "flat-fake.is_lost-s0"
+    ]
+
+
 def test_the_last_machine_to_end_writes_the_table_of_all(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -86,7 +93,8 @@ def test_a_run_that_is_flown_after_a_crash_is_no_crash_there(tmp_path: Path) -> 
     copy = remote.Remote(f"file://{tmp_path}/there")
     copy.fetch()
     (copy.directory / "runs" / record.stem).mkdir(parents=True)
-    copy.send_run(record.stem)
+    for _ in range(2):
+        copy.send_run(record.stem)
     assert not record.exists()
 
 
