@@ -196,7 +196,8 @@ def run_path(directory: Path, row: Mapping[str, Any]) -> Path:
     """The run directory of a row of `load_rows`."""
     if is_campaign(directory):
         return directory / RUNS / str(row["run_id"])
-    return directory if row["run_id"] == directory.name else directory / str(row["run_id"])
+    name = str(row["run_id"])
+    return directory if name == directory.resolve().name else directory / name
 
 
 def refresh(directory: Path, *, must_write: bool = False) -> list[dict[str, Any]]:
@@ -348,7 +349,7 @@ def _plain_rows(directory: Path) -> list[dict[str, Any]]:
             raise UsageError(f"the name of '{path.parent}' is no UTF-8 text; rename that directory")
         result, name = load_result(path), path.parent.relative_to(directory).as_posix()
         mode, sha = _mode_and_sha(path.with_name("config.json"), result)
-        rows.append(make_row(result, name if name != "." else directory.name, mode, sha))
+        rows.append(make_row(result, name if name != "." else directory.resolve().name, mode, sha))
     return rows
 
 

@@ -9,6 +9,8 @@ Plants: a canopy of the height h over level ground, with a leaf area index L and
 directions, lets a ray through over the path p with the probability exp(-L p / (2 h)) (Beer and
 Lambert; Ross, "The radiation regime and architecture of plant stands", 1981). A pulse returns from
 where that falls below a random number, or else from the ground. h varies smoothly with the place.
+On a slope that falls away along the ray, p is bounded by what it is over level ground, doubled: the
+ray has come from over ground that lies higher.
 
 Value noise: the nodes of a square or cubic lattice have hashed values, evenly distributed, and
 between them a smoothstep interpolates; the sum is scaled to unit variance at every place. Its loops
@@ -167,7 +169,9 @@ class SurfaceDetail:
             return 0, 0.0
         height = self.plant_height_m(x, y, mean)
         passed = -np.log(_even(rows, pulses.bits))  # by the law of Beer and Lambert
-        return _shorten(rows, height, leaf_area, passed, hits.cosine, hits.distance)
+        return _shorten(
+            rows, height, leaf_area, passed, pulses.rays, hits.cosine, hits.distance
+        )
 
     def visible_height_m(self, x: Array, y: Array, under_m: float = math.inf) -> Array:
         """Mean heights (N,) above the ground, at places (N,) in the world, from which pulses and
@@ -299,6 +303,7 @@ def _shorten(
     height: Float32,
     leaf_area: Float32,
     passed: Array,
+    rays: Float32,
     cosine: Float32,
     distance: Float32,
 ) -> tuple[int, float]:
@@ -307,7 +312,8 @@ def _shorten(
     shortened, total = 0, 0.0
     for k in range(rows.shape[0]):
         i = rows[k]
-        path = min(height[k] / max(cosine[i], _MIN_COSINE), distance[i])
+        slant = max(cosine[i], -0.5 * rays[i, 5], _MIN_COSINE)
+        path = min(height[k] / slant, distance[i])
         depth = passed[k] * height[k] / (_LEAF_PROJECTION * leaf_area[k])
         before = distance[i]
         distance[i] = before - path + depth if depth < path else before

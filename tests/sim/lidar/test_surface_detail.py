@@ -214,6 +214,16 @@ def test_returns_of_plants_follow_beer_and_lambert(canopy: float, leaves: float)
     np.testing.assert_allclose(quantiles, [0.1, 0.25, 0.5, 0.75, 0.9], atol=0.02)
 
 
+def test_plants_on_a_slope_that_falls_along_the_ray_do_not_reach_to_the_lidar() -> None:
+    """Over level ground the path through them is h / sin(elevation)."""
+    tilted = '<geom name="g" type="box" size="40 40 0.1" euler="0 50 0" pos="0 0 0"/>'
+    scene = make_scene(tilted, {"g": _surface(canopy_m=0.2, leaf_area=1.7)})
+    scan, bare = _scan(GRASS, scene, 15.0), _scan(PERFECT, scene, 15.0)
+    back = bare.ranges > 0
+    shorter, down = (bare.ranges - scan.ranges)[back], scan.directions[back, 2]
+    assert shorter.max() > 0.4 and (shorter <= 2.0 * 0.3 / down + 1e-4).all()
+
+
 def test_height_of_plants_varies_smoothly_about_its_mean() -> None:
     detail = LidarSensor(_plane(), GRASS, 5)._detail
     assert detail is not None
