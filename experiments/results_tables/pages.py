@@ -46,8 +46,8 @@ class Block:
         if missing := [name for name in self.sets if name not in record]:
             return f"Not flown yet: `make results` flies `configs/{missing[0]}.toml`."
         lines = self.lines(*(frame_of(record[name]["rows"]) for name in self.sets))
-        touched = ("landing.roughness_m" in row for row in record["landing"]["rows"])
-        if self.pictures and any(touched):
+        key = "landing.roughness_m"
+        if self.pictures and any(key in row for row in record["landing"]["rows"]):
             lines = [*lines, "", f"![{_GROUND_TITLE}]({self.pictures}/{_GROUND})"]
         return "\n".join([*lines, "", _origin(self.sets, record)])
 

@@ -195,6 +195,15 @@ def test_ctrl_c_ends_an_endless_query(runs: Path) -> None:
         signal.signal(signal.SIGINT, before)
 
 
+def test_a_run_is_named_by_its_directory_from_inside_of_it(
+    runs: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = next(runs.iterdir())
+    monkeypatch.chdir(run)
+    (row,) = load_rows(Path())
+    assert row["run_id"] == run.name and results_table.run_path(Path(), row) == Path()
+
+
 @pytest.fixture
 def campaign(runs: Path) -> Path:
     """A campaign with two rows and no results.parquet yet."""

@@ -182,8 +182,10 @@ def fly(found: FlightSet, out: Path, revision: str = REVISION, left_out: int = 0
             "started_utc": "2031-02-03T04:05:06Z", "cpu_s": 90.0,
             "position_error_m.mean": 0.123456789, "landing.target_offset_m": 0.1,
             "landing.judged_on": "geometry", "landing.safe_geometry": True,
-            "landing.slope_deg": 2.0, "landing.roughness_m": 0.01, "reason": "",
+            "landing.slope_deg": 2.0, "reason": "",
         }  # fmt: skip
+        if run is not plan.runs[left_out]:  # it did not touch down
+            flown["landing.roughness_m"] = 0.01
         write_table([flown], directory / RUNS / run.run_id / ROW_FILE)
         (directory / RUNS / run.run_id / "result.json").write_text("{}")
     return directory
