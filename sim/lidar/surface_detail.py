@@ -169,9 +169,7 @@ class SurfaceDetail:
             return 0, 0.0
         height = self.plant_height_m(x, y, mean)
         passed = -np.log(_even(rows, pulses.bits))  # by the law of Beer and Lambert
-        return _shorten(
-            rows, height, leaf_area, passed, pulses.rays, hits.cosine, hits.distance
-        )
+        return _shorten(rows, height, leaf_area, passed, pulses.rays, hits.cosine, hits.distance)
 
     def visible_height_m(self, x: Array, y: Array, under_m: float = math.inf) -> Array:
         """Mean heights (N,) above the ground, at places (N,) in the world, from which pulses and
