@@ -12,8 +12,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import binary_dilation, distance_transform_cdt
 
 from touchdown.estimator.api import Estimate, GridMap, MapView
 from touchdown.experiments.benchmarks.posed_survey import (
@@ -32,7 +34,7 @@ from touchdown.scenes.truth.maps import truth_maps
 from touchdown.sim.api import VehicleModel
 from touchdown.sim.files.opening import no_file
 from touchdown.sim.frames import Pose
-from touchdown.sim.typing import Array, Mask
+from touchdown.sim.typing import Array, Indices, Mask
 
 SUFFIX = ".map.npz"
 TRUTH_CELL_M = 0.1
@@ -41,6 +43,10 @@ AROUND_M = 15.0
 aside"""
 _MARGIN_CELLS = 8
 """kept around what was seen"""
+_BARREN_M = 10.0
+"""side of the smallest square without safe ground"""
+_AROUND_CELLS, _SEEN = 9, 0.5
+"""side of a square about a cell, and fraction of it with returns from which it counts as seen"""
 _STEPS = {
     "count": 1e-3, "missing": 1e-3, "last_seen_s": 0.1, "rgb": 1.0, "intensity": 1.0,
     "height_m": 1e-3, "height_std_m": 1e-3, "min_height_m": 1e-3, "max_height_m": 1e-3,
@@ -224,6 +230,11 @@ def _cropped(grid: GridMap) -> GridMap:
     seen = np.argwhere((grid.count > 0) | (grid.missing > 0))
     low = np.maximum(seen.min(axis=0) - _MARGIN_CELLS, 0)
     high = seen.max(axis=0) + 1 + _MARGIN_CELLS
+    return _part(grid, low, high)
+
+
+def _part(grid: GridMap, low: Indices, high: Indices) -> GridMap:
+    """The cells from ``low`` to before ``high``, each (2,) row and column."""
     box = (slice(low[0], high[0]), slice(low[1], high[1]))
     layers = {
         field.name: getattr(grid, field.name)[box].copy()
@@ -244,6 +255,25 @@ def _safe_ground(scene: Scene, track_xy: Array) -> SafeGround:
     )
 
 
+def without_safe_ground(kept: KeptMap) -> MapView | None:
+    """Returns the largest square that was seen and holds no safe ground, as a map of its own; None
+    where that is less than 10 m wide."""
+    grid = kept.map_view.coarse
+    wider = binary_dilation(kept.truth.safe, np.ones((3, 3)))  # a cell here is two of the truth's
+    truth = dataclasses.replace(kept.truth, safe=wider)
+    safe, judged = on_grid(truth, grid, grid.count.shape)
+    returned = (grid.count > 0.0).astype(np.float32)
+    seen = cv2.blur(returned, (_AROUND_CELLS, _AROUND_CELLS)) >= _SEEN
+    barren = judged & seen & ~safe
+    reach = distance_transform_cdt(np.pad(barren, 1), "chessboard")[1:-1, 1:-1]
+    middle = np.array(np.unravel_index(reach.argmax(), reach.shape))
+    aside = int(reach.max()) - 1
+    if (2 * aside + 1) * grid.cell_m < _BARREN_M:
+        return None
+    coarse = _part(grid, middle - aside, middle + aside + 1)
+    return MapView(version=kept.map_view.version, coarse=coarse, fine=None)
+
+
 def is_judged(truth: SafeGround, position: Array) -> bool:
     """True for a point of the true ground, which ends before the map does."""
     ends = np.array(truth.safe.shape[::-1]) * truth.cell_m
@@ -257,12 +287,14 @@ def value_at(truth: SafeGround, raster: NDArray[Any], position: Array) -> Any:
     return raster[row, col]
 
 
-def on_grid(ground: SafeGround, costmap: CostmapView) -> tuple[Mask, Mask]:
-    """Returns ``ground.safe`` at the centres of the costmap's cells, and the mask where it is
-    known."""
-    rows, cols = costmap.total.shape
-    x = costmap.origin_xy_m[0] + (np.arange(cols) + 0.5) * costmap.cell_m
-    y = costmap.origin_xy_m[1] + (np.arange(rows) + 0.5) * costmap.cell_m
+def on_grid(
+    ground: SafeGround, grid: GridMap | CostmapView, shape: tuple[int, ...]
+) -> tuple[Mask, Mask]:
+    """Returns ``ground.safe`` at the centres of the cells of ``grid``, rows and columns ``shape``,
+    and the mask where it is known."""
+    rows, cols = shape
+    x = grid.origin_xy_m[0] + (np.arange(cols) + 0.5) * grid.cell_m
+    y = grid.origin_xy_m[1] + (np.arange(rows) + 0.5) * grid.cell_m
     col = np.floor((x - ground.origin_xy_m[0]) / ground.cell_m).astype(int)
     row = np.floor((y - ground.origin_xy_m[1]) / ground.cell_m).astype(int)
     height, width = ground.safe.shape

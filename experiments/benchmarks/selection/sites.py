@@ -1,6 +1,7 @@
 """Benchmark of site selection without flights: the maps of surveys, judged by the true ground."""
 
 import contextlib
+import dataclasses
 import functools
 import tempfile
 import time
@@ -26,6 +27,7 @@ from touchdown.experiments.benchmarks.selection.maps import (
     on_grid,
     read_map,
     value_at,
+    without_safe_ground,
     write_map,
 )
 from touchdown.experiments.config.loading import load_config, parse_seeds
@@ -63,6 +65,7 @@ def check_map(kept: KeptMap, config: Config) -> dict[str, Any]:
     those on judged ground;
     ``cells``: numbers of surveyed cells that are safe, allowed, and both; ``clearance_m`` of the
     chosen site and ``best_clearance_m``: distance to the nearest unsafe ground, at most 3 m;
+    ``barren_accepted``: sites accepted in the largest square without safe ground, None without one;
     ``seconds`` of processor time; ``sample``: predicted probabilities and truth of evenly spread
     cells, with what is allowed and their features, None for a selector that states no probability.
     """
@@ -76,8 +79,9 @@ def check_map(kept: KeptMap, config: Config) -> dict[str, Any]:
     accepted = [site for site in selection.candidates
                 if site.accepted and is_judged(truth, site.position_odom)]  # fmt: skip
     verdicts = [value_at(truth, truth.safe, site.position_odom) for site in accepted]
+    barren = without_safe_ground(kept)
     clearance = np.minimum(distance_transform_edt(truth.safe) * truth.cell_m, CLEARANCE_CAP_M)
-    safe, judged = on_grid(truth, costmap)
+    safe, judged = on_grid(truth, costmap, costmap.total.shape)
     seen = judged & _seen(kept.map_view.coarse, costmap)
     return {
         "scene": kept.scene,
@@ -95,6 +99,11 @@ def check_map(kept: KeptMap, config: Config) -> dict[str, Any]:
         if accepted
         else 0.0,
         "best_clearance_m": float(clearance.max()),
+        "barren_accepted": None
+        if barren is None
+        else sum(
+            site.accepted for site in choose(dataclasses.replace(kept, map_view=barren)).candidates
+        ),
         "seconds": seconds,
         "sample": _sample(kept, config, selection, safe & seen),
     }
@@ -108,7 +117,7 @@ def _sample(
     if _from_outside(config) and "probability" not in [term.name for term in costmap.terms]:
         return None
     features = risk.features_of(kept.map_view, kept.estimate, config.landing)
-    _, judged = on_grid(kept.truth, costmap)
+    _, judged = on_grid(kept.truth, costmap, costmap.total.shape)
     rows, cols = np.nonzero(judged & np.isfinite(selection.probability) & features.open)
     spread = np.s_[:: max(1, rows.size // SAMPLES)]
     rows, cols = rows[spread], cols[spread]
@@ -146,14 +155,14 @@ def summary(places: Sequence[dict[str, Any]]) -> dict[str, Any]:
 
     ``precision``: fraction of chosen sites that are safe; ``precision_sites``: of all accepted
     ones; ``precision_cells`` and ``recall_cells`` of the cells; ``found``: fraction of scenes with
-    safe ground where a site was accepted; ``refused``: of those without where none was;
-    ``regret_m``: mean loss of clearance relative to the
-    best safe site; ``ms``: mean processor time of a choice; ``calibration_error`` and
+    safe ground where a site was accepted; ``barren``: number of squares without safe ground;
+    ``refused``: fraction of them where none was; ``regret_m``: mean loss of clearance relative to
+    the best safe site; ``ms``: mean processor time of a choice; ``calibration_error`` and
     ``reliability``: see `landing.classification.scores.calibration`, and the error over what is
     allowed alone; None for a selector that states no probability."""
     chosen = [place["chosen_safe"] for place in places if place["chosen_safe"] is not None]
     offered = [place for place in places if place["best_clearance_m"] > 0.0]
-    barren = [place for place in places if place["best_clearance_m"] == 0.0]
+    barren = [n for place in places if (n := place["barren_accepted"]) is not None]
     cells = {
         key: sum(place["cells"][key] for place in places) for key in ("safe", "allowed", "both")
     }
@@ -174,7 +183,8 @@ def summary(places: Sequence[dict[str, Any]]) -> dict[str, Any]:
         "precision_cells": _fraction(cells["both"], cells["allowed"]),
         "recall_cells": _fraction(cells["both"], cells["safe"]),
         "found": _fraction(sum(place["accepted"] > 0 for place in offered), len(offered)),
-        "refused": _fraction(sum(place["accepted"] == 0 for place in barren), len(barren)),
+        "barren": len(barren),
+        "refused": _fraction(barren.count(0), len(barren)),
         "regret_m": float(np.mean(regrets)) if regrets else None,
         "ms": 1e3 * float(np.mean([place["seconds"] for place in places])),
         "calibration_error": error,
@@ -220,7 +230,7 @@ def _fraction(part: int, whole: int) -> float | None:
 def _seen(grid: GridMap, costmap: CostmapView) -> Mask:
     """Cells of the costmap with returns."""
     seen = SafeGround(origin_xy_m=grid.origin_xy_m, cell_m=grid.cell_m, safe=grid.count > 0)
-    return on_grid(seen, costmap)[0]
+    return on_grid(seen, costmap, costmap.total.shape)[0]
 
 
 @dataclass(frozen=True, slots=True)

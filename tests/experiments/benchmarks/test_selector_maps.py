@@ -10,7 +10,7 @@ import pytest
 
 from touchdown.estimator.api import GridMap, MapView
 from touchdown.experiments.benchmarks.posed_survey import true_estimate
-from touchdown.experiments.benchmarks.selection import sites
+from touchdown.experiments.benchmarks.selection import maps, sites
 from touchdown.experiments.benchmarks.selection.curves import selector_curves
 from touchdown.experiments.benchmarks.selection.maps import (
     KeptMap,
@@ -186,14 +186,36 @@ def test_no_site_is_right_where_no_ground_is_safe() -> None:
     places = [
         {"chosen_safe": False if accepted else None, "accepted": accepted, "accepted_safe": 0,
          "cells": cells, "clearance_m": 0.0, "best_clearance_m": best, "seconds": 0.0,
-         "sample": None}
-        for accepted, best in ((0, 0.0), (0, 0.0), (2, 0.0), (0, 0.0), (0, 1.0), (1, 2.0))
+         "barren_accepted": barren, "sample": None}
+        for accepted, best, barren in (
+            (2, 0.0, 2), (0, 0.0, 0), (0, 1.0, 0), (1, 2.0, 0), (1, 2.0, None),
+        )
     ]  # fmt: skip
     total = sites.summary(places)
-    assert (total["refused"], total["found"], total["regret_m"]) == (0.75, 0.5, 1.5)
+    assert (total["refused"], total["barren"]) == (0.75, 4)
+    assert (total["found"], total["regret_m"]) == (2 / 3, pytest.approx(5 / 3))
     figures = {"selector": "risk", "summary": total}
     head, row = sites.text(figures).splitlines()[:2]
     assert row[: head.index("  regret m")].endswith("75.0%")
+
+
+def test_the_largest_square_without_safe_ground_is_a_map_without_a_site(kept: KeptMap) -> None:
+    """Safe are a strip in the west, 2 m wide, and one cell 7 m east of it."""
+    kept.truth.safe[:] = False
+    kept.truth.safe[:, :20] = True
+    kept.truth.safe[100, 90] = True
+    view = maps.without_safe_ground(kept)
+    assert view is not None
+    low = view.coarse.origin_xy_m
+    high = low + CELL * np.array(view.coarse.count.shape[::-1])
+    assert low[0] >= -0.9 - 1e-9 and (high <= 10.0 + 1e-9).all()
+    assert (high - low) == pytest.approx([10.8, 10.8], abs=0.41)
+    (place,) = [sites.check_map(kept, sites.config_of("field", "risk", (), "crossroad", 4))]
+    assert place["accepted_safe"] < place["accepted"] and place["barren_accepted"] > 0
+    kept.map_view.coarse.count[:, 55:65] = 0.0
+    assert maps.without_safe_ground(kept) is None
+    kept.truth.safe[::90] = True
+    assert maps.without_safe_ground(kept) is None
 
 
 def test_sites_beyond_the_judged_ground_do_not_count(kept: KeptMap) -> None:
