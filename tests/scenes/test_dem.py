@@ -15,10 +15,10 @@ from touchdown.scenes.compose import load_scene
 from touchdown.scenes.importers.dem import import_dem
 from touchdown.scenes.importers.geotiff import METRES_PER_DEGREE, read_heights
 from touchdown.scenes.truth.maps import judge_touchdown
-from touchdown.scenes.truth.static_surface import cast_down
 from touchdown.sim.typing import Array
 
 from support.command import Says
+from support.places import height_at
 
 
 def write_tiff(path: Path, heights: Array, cell_m: float = 1.0, **profile: Any) -> Path:
@@ -45,11 +45,6 @@ def load(path: Path) -> Scene:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         return load_scene(str(path), 0)
-
-
-def height_at(scene: Scene, x: float, y: float) -> float:
-    heights, _ = cast_down(scene, np.array([x - 0.005, y - 0.005]), 0.01, (1, 1))
-    return float(heights[0, 0])
 
 
 def test_cells_without_a_place_on_earth_are_of_a_metre(tmp_path: Path) -> None:

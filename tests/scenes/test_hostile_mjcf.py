@@ -15,6 +15,7 @@ from touchdown.scenes.importers import model_check
 from touchdown.sim.files import child
 
 from support.hostile_files import limited, pipe, png, sparse
+from support.places import load_quietly
 
 FLOOR = '<geom name="lawn" type="plane" size="100 100 1"/>'
 TEXTURE = '<asset><texture name="t" type="2d" {}/><material name="m" texture="t"/></asset>'
@@ -56,9 +57,7 @@ def replicas(count: int, inner: str) -> str:
 
 def load(folder: Path, text: str) -> Scene:
     (folder / "place.xml").write_text(text)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        return load_scene(str(folder / "place.xml"), 0)
+    return load_quietly(folder / "place.xml")
 
 
 def refused(folder: Path, text: str | bytes, message: str) -> None:

@@ -1,7 +1,6 @@
 """Day, overcast, dusk and night: the same places under another light."""
 
 from itertools import pairwise
-from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -19,7 +18,8 @@ from touchdown.scenes.authoring.light import (
     lit_by,
 )
 from touchdown.scenes.authoring.relief import HeightField
-from touchdown.scenes.compose import load_scene
+
+from support.places import scene_of
 
 LIGHTS: tuple[Light, ...] = ("day", "overcast", "dusk", "night")
 
@@ -94,10 +94,8 @@ def test_shadows_are_those_of_the_light() -> None:
         assert even[128] == pytest.approx(0.45 + 0.55 * 0.45, abs=0.02)
 
 
-def test_scenes_from_files_have_every_light(tmp_path: Path) -> None:
-    path = tmp_path / "place.xml"
-    path.write_text(FILE)
-    day, overcast, dusk, night = (load_scene(str(path), 0, light=light).model for light in LIGHTS)
+def test_scenes_from_files_have_every_light() -> None:
+    day, overcast, dusk, night = (scene_of(FILE, light=light).model for light in LIGHTS)
     active = {
         name: [bool(m.light(name).active[0]) for m in (day, overcast, dusk, night)]
         for name in ("lamp", "high", "fill")

@@ -2,7 +2,6 @@
 
 import functools
 import tempfile
-import warnings
 from pathlib import Path
 
 import cv2
@@ -23,12 +22,11 @@ from touchdown.scenes.truth.maps import judge_touchdown
 from touchdown.scenes.truth.static_surface import cast_points, class_ids
 
 from support.own_places import PLACES
+from support.places import load_quietly
 
 
 def load(path: Path, ready: ImportOptions | None = ImportOptions()) -> Scene:  # noqa: B008
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        return load_scene(str(path), 0, options=ready)
+    return load_quietly(path, options=ready)
 
 
 @functools.lru_cache(maxsize=2)

@@ -9,11 +9,11 @@ import pytest
 
 from touchdown.experiments.flight.run import fly
 from touchdown.experiments.flight.wiring import build_scene
-from touchdown.scenes.api import Scene
 from touchdown.scenes.compose import load_scene
 from touchdown.scenes.truth.maps import truth_maps
 from touchdown.sim.lidar.raycast_scene import LidarScene
 
+from support.places import load_quietly
 from support.truth_rays import SingleRays
 from support.worlds import load_ideal_config as load_config
 
@@ -50,16 +50,10 @@ def place(
     return str(path)
 
 
-def load(path: str) -> Scene:
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        return load_scene(path, 0)
-
-
 @pytest.mark.parametrize("floor", FLOORS)
 def test_map_coordinates_give_the_same_scene(tmp_path: Path, floor: str) -> None:
     """Truth maps and LIDAR ranges to the bit, and what single rays say."""
-    near = load(place(tmp_path, (0.0, 0.0), floor))
+    near = load_quietly(place(tmp_path, (0.0, 0.0), floor))
     with pytest.warns(UserWarning, match="origin is moved to x 500000, y 5300000 of the file"):
         far = load_scene(place(tmp_path, MAP, floor), 0)
     np.testing.assert_array_equal(near.origin_m, np.zeros(3))
@@ -81,7 +75,7 @@ def test_map_coordinates_give_the_same_scene(tmp_path: Path, floor: str) -> None
 
 
 def test_the_middle_is_the_take_off_where_none_is_named(tmp_path: Path) -> None:
-    scene = load(place(tmp_path, MAP, takeoff=False))
+    scene = load_quietly(place(tmp_path, MAP, takeoff=False))
     np.testing.assert_array_equal(scene.origin_m, [*MAP, 0.0])
     np.testing.assert_array_equal(scene.takeoff_xy_m, np.zeros(2))
 
@@ -90,7 +84,7 @@ def test_the_middle_is_the_take_off_where_none_is_named(tmp_path: Path) -> None:
 def test_near_places_stay_where_they_are(
     tmp_path: Path, at: tuple[float, float], moved: bool
 ) -> None:
-    scene = load(place(tmp_path, at))
+    scene = load_quietly(place(tmp_path, at))
     np.testing.assert_array_equal(scene.origin_m, [1200.0, -400.0, 0.0] if moved else np.zeros(3))
     np.testing.assert_allclose(scene.takeoff_xy_m + scene.origin_m[:2], at, atol=1e-9)
 
@@ -105,7 +99,7 @@ def test_a_raised_place_says_by_how_much(tmp_path: Path) -> None:
         ),
         encoding="utf-8",
     )
-    np.testing.assert_allclose(load(str(path)).origin_m, [*MAP, 812.0], atol=1e-6)
+    np.testing.assert_allclose(load_quietly(path).origin_m, [*MAP, 812.0], atol=1e-6)
 
 
 def test_a_site_counts_from_the_world_s_origin(tmp_path: Path) -> None:

@@ -1,6 +1,5 @@
 """Import of MJCF files: names, take-off, assets, lights, units and error messages."""
 
-import warnings
 from pathlib import Path
 
 import cv2
@@ -10,7 +9,8 @@ import pytest
 
 from touchdown.scenes.api import VEHICLE_BODY, ImportOptions, Scene
 from touchdown.scenes.compose import load_scene
-from touchdown.scenes.truth.static_surface import cast_down
+
+from support.places import height_at, load_quietly
 
 FLOOR = '<geom name="lawn" type="plane" size="40 40 1"/>'
 TRIANGLES = "v 0 0 0\nv 4 0 0\nv 0 4 0\nv 0 0 2\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n"
@@ -47,9 +47,7 @@ def write(tmp_path: Path, text: str, name: str = "model.xml") -> str:
 
 def load(tmp_path: Path, body: str, head: str = "") -> Scene:
     text = f"<mujoco>{head}<worldbody>{body}</worldbody></mujoco>"
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        return load_scene(write(tmp_path, text), 0)
+    return load_quietly(write(tmp_path, text))
 
 
 def test_joints_are_removed_and_the_vehicle_is_unchanged(tmp_path: Path) -> None:
@@ -80,10 +78,10 @@ def test_the_files_own_vehicle_is_not_taken_off_from(tmp_path: Path) -> None:
         UserWarning, match="moving body 0 moves, and stands at the take-off spot: it is left"
     ):
         scene = load_scene(write(tmp_path, text), 0)
-    heights, _ = cast_down(scene, np.array([-0.1, -0.1]), 0.2, (1, 1))
-    assert heights[0, 0] == pytest.approx(0.0)
-    there, _ = cast_down(scene, np.array([2.9, -0.1]), 0.2, (1, 1))
-    assert there[0, 0] == pytest.approx(0.4), "what moves elsewhere stays where it stands"
+    assert height_at(scene, 0.0, 0.0) == pytest.approx(0.0)
+    assert height_at(scene, 3.0, 0.0) == pytest.approx(0.4), (
+        "what moves elsewhere stays where it stands"
+    )
 
 
 def test_an_attribute_that_mujoco_does_not_know_may_be_of_a_newer_one(tmp_path: Path) -> None:
@@ -120,8 +118,7 @@ def test_includes_meshes_and_textures_are_found_beside_the_file(
     monkeypatch.chdir(tmp_path)
     scene = load_scene(path, 0)
     # The hill rises from 0 m in the west to 6 m in the east: 3 m in the middle.
-    heights, _ = cast_down(scene, np.array([-0.05, -0.05]), 0.1, (1, 1))
-    assert heights[0, 0] == pytest.approx(3.0, abs=0.01)
+    assert height_at(scene, 0.0, 0.0) == pytest.approx(3.0, abs=0.01)
     assert scene.surfaces["field"].land_class == "road"
     assert scene.model.nmesh >= 1
 
@@ -182,12 +179,9 @@ def test_high_ground_is_moved_to_zero(tmp_path: Path) -> None:
     </frame><geom name="path_post" type="capsule" fromto="9 0 2000 9 0 2003" size=".5"/>
     <body name="hut" pos="0 9 2001"><geom name="building" type="box" size="1 1 1"/></body>"""
     scene = load(tmp_path, body)
-    heights, _ = cast_down(scene, np.array([-0.05, -0.05]), 0.1, (1, 1))
-    assert heights[0, 0] == pytest.approx(0.0, abs=1e-6)
-    heights, _ = cast_down(scene, np.array([8.95, -0.05]), 0.1, (1, 1))
-    assert heights[0, 0] == pytest.approx(3.5, abs=2e-3)
-    heights, _ = cast_down(scene, np.array([-0.05, 8.95]), 0.1, (1, 1))
-    assert heights[0, 0] == pytest.approx(2.0, abs=1e-6)
+    assert height_at(scene, 0.0, 0.0) == pytest.approx(0.0, abs=1e-6)
+    assert height_at(scene, 9.0, 0.0) == pytest.approx(3.5, abs=2e-3)
+    assert height_at(scene, 0.0, 9.0) == pytest.approx(2.0, abs=1e-6)
 
 
 @pytest.mark.parametrize("size", [0.4, 40_000.0])

@@ -24,6 +24,8 @@ from touchdown.scenes.api import (
 from touchdown.scenes.authoring.ground import varied_materials
 from touchdown.scenes.cache import cached_scene
 
+from support.places import bare_scene
+
 
 @pytest.fixture
 def loads(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[Any]:
@@ -35,11 +37,7 @@ def loads(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[Any]:
         found.append(arguments)
         geoms = "".join(f'<geom size="{n + 1}"/>' for n in range(len(found)))
         model = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{geoms}</worldbody></mujoco>")
-        corners = np.array([[-1.0, -1.0], [1.0, 1.0]])
-        return Scene(
-            name="flat", seed=arguments[1], model=model, takeoff_xy_m=np.zeros(2), takeoff_yaw=0.5,
-            bounds_xy_m=corners, surfaces={}, ground=None, moving=(),
-        )  # fmt: skip
+        return bare_scene(model, name="flat", seed=arguments[1], takeoff_yaw=0.5)
 
     monkeypatch.setattr(compose, "load_scene", load)
     return found

@@ -1,6 +1,5 @@
 """Scenes: rendering, collision geometry and truth maps agree."""
 
-import warnings
 from pathlib import Path
 
 import mujoco
@@ -15,7 +14,7 @@ from touchdown.scenes.export import export_spec
 from touchdown.scenes.truth.maps import judge_touchdown, truth_maps
 from touchdown.scenes.truth.static_surface import cast_down
 
-from support.places import cached_scene
+from support.places import cached_scene, load_quietly
 
 FLAT_WITH_BOX = """
 <mujoco>
@@ -38,9 +37,7 @@ def crossroad() -> Scene:
 def load_text(tmp_path: Path, text: str) -> Scene:
     path = tmp_path / "model.xml"
     path.write_text(text)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        return load_scene(str(path), 0)
+    return load_quietly(path)
 
 
 def ramp(tmp_path: Path, slope_deg: float, step_m: float = 0.0) -> Scene:

@@ -1,18 +1,15 @@
 """Truth maps against MuJoCo's single rays: geoms on any body, of any type, in any attitude, and
 every shipped scene, of which ``-m slow -s`` prints the figures."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from touchdown.scenes.api import Scene
-from touchdown.scenes.compose import load_scene
 from touchdown.scenes.registry import scene_names
 from touchdown.scenes.truth.maps import judge_touchdown, truth_maps
 from touchdown.scenes.truth.static_surface import cast_points
 
-from support.places import cached_scene
+from support.places import cached_scene, scene_of, scene_on_lawn
 from support.truth_rays import SingleRays
 
 FORMS = {
@@ -20,16 +17,6 @@ FORMS = {
     "ellipsoid": "1.2 0.8 0.9",
 }  # fmt: skip
 NEST = ("{0}", "<body>{0}</body>", "<body pos='2 -1 0.2'><body euler='0 0 30'>{0}</body></body>")
-
-
-def scene_of(folder: Path, things: str, assets: str = "") -> Scene:
-    path = folder / "place.xml"
-    path.write_text(
-        f"<mujoco><asset>{assets}</asset><worldbody><geom name='lawn' type='plane' size='60 60 1'/>"
-        f"{things}</worldbody></mujoco>",
-        encoding="utf-8",
-    )
-    return load_scene(str(path), 0)
 
 
 def forms(rng: np.random.Generator) -> str:
@@ -59,13 +46,13 @@ def check_against_single_rays(scene: Scene, points: np.ndarray) -> None:
 
 
 @pytest.mark.parametrize("layout", range(5))
-def test_every_form_in_every_attitude_is_seen(tmp_path: Path, layout: int) -> None:
+def test_every_form_in_every_attitude_is_seen(layout: int) -> None:
     rng = np.random.default_rng([layout, 23])
-    scene = scene_of(tmp_path, forms(rng))
+    scene = scene_on_lawn(forms(rng))
     check_against_single_rays(scene, rng.uniform([-14.0, -4.0], [14.0, 18.0], (1500, 2)))
 
 
-def test_meshes_and_fields_are_seen(tmp_path: Path) -> None:
+def test_meshes_and_fields_are_seen() -> None:
     """A mesh, two height fields, one of them turned and not square, and a tilted plane that ends,
     all on one body."""
     rng = np.random.default_rng(5)
@@ -84,21 +71,21 @@ def test_meshes_and_fields_are_seen(tmp_path: Path) -> None:
         "<geom name='road_p' type='plane' size='2 3 1' pos='-8 -6 1' euler='12 0 40'/>"
         "</body></body>"
     )
-    scene = scene_of(tmp_path, things, assets)
+    scene = scene_on_lawn(things, assets)
     points = rng.uniform(-14.0, 14.0, (3000, 2))
     check_against_single_rays(scene, points)
     names = {scene.model.geom(int(g)).name for g in cast_points(scene, points)[1]}
     assert names == {"lawn", "building_w", "field_a", "field_b", "road_p"}
 
 
-def test_signed_distance_shapes_are_seen(tmp_path: Path) -> None:
+def test_signed_distance_shapes_are_seen() -> None:
     """MuJoCo marches along a ray until it is near enough to such a shape; a few rays pass it."""
     corners = " ".join(f"{x} {y} {z}" for x in (-1, 1) for y in (-1, 1) for z in (-1, 1))
     things = (
         "<body pos='5 5 1' euler='0 0 20'>"
         "<geom name='building_s' type='sdf' mesh='cube' euler='10 15 0'/></body>"
     )
-    scene = scene_of(tmp_path, things, f"<mesh name='cube' vertex='{corners}'/>")
+    scene = scene_on_lawn(things, f"<mesh name='cube' vertex='{corners}'/>")
     points = np.random.default_rng(2).uniform(4.4, 5.6, (400, 2))
     heights, geoms = cast_points(scene, points)
     assert {scene.model.geom(int(g)).name for g in geoms} == {"building_s"}
@@ -107,48 +94,45 @@ def test_signed_distance_shapes_are_seen(tmp_path: Path) -> None:
     assert passed.mean() < 0.02 and (heights[passed] > true[passed]).all()
 
 
-def test_planes_are_infinite_where_they_have_no_size(tmp_path: Path) -> None:
+def test_planes_are_infinite_where_they_have_no_size() -> None:
     """Far outside of the scene, level and tilted, and in one direction only; never from below."""
-    path = tmp_path / "place.xml"
-    path.write_text(
+    scene = scene_of(
         "<mujoco><worldbody><geom name='lawn' type='plane' size='0 0 1' pos='300 0 0'/>"
         "<body><geom name='road' type='plane' size='0 2 1' pos='0 20 0.5'/>"
         "<geom name='field' type='plane' size='0 0 1' pos='0 200 -1' euler='5 0 0'/>"
         "<geom name='path' type='plane' size='0 0 1' pos='0 0 30' euler='180 0 0'/></body>"
-        "</worldbody></mujoco>",
-        encoding="utf-8",
+        "</worldbody></mujoco>"
     )
-    scene = load_scene(str(path), 0)
     points = np.array([[0.0, 0.0], [900.0, 21.0], [-3000.0, 19.0], [70.0, 260.0], [0.0, -900.0]])
     check_against_single_rays(scene, points)
 
 
-def test_what_cannot_be_seen_and_can_be_touched_has_a_height_and_no_class(tmp_path: Path) -> None:
+def test_what_cannot_be_seen_and_can_be_touched_has_a_height_and_no_class() -> None:
     things = (
         "<geom name='building_hull' type='box' size='2 2 0.5' pos='6 0 0.5' rgba='1 1 1 0'/>"
         "<geom name='trees_ghost' type='box' size='2 2 0.5' pos='-6 0 0.5' rgba='1 1 1 0' "
         "contype='0' conaffinity='0'/>"
     )
-    scene = scene_of(tmp_path, things)
+    scene = scene_on_lawn(things)
     heights, geoms = cast_points(scene, np.array([[6.0, 0.0], [-6.0, 0.0]]))
     np.testing.assert_allclose(heights, [1.0, 0.0], atol=1e-5)
     assert [scene.model.geom(int(g)).name for g in geoms] == ["lawn", "lawn"]
 
 
-def test_what_can_be_seen_and_not_touched_is_no_ground(tmp_path: Path) -> None:
+def test_what_can_be_seen_and_not_touched_is_no_ground() -> None:
     """A thin mark is as safe as the lawn below it; through a deck half a metre up one falls."""
     decks = "".join(
         f"<geom name='path_{x}' type='box' size='3 3 {half}' pos='{x} 0 {half}' contype='0' "
         "conaffinity='0'/>"
         for x, half in ((10, 0.02), (20, 0.25))
     )
-    scene = scene_of(tmp_path, decks)
+    scene = scene_on_lawn(decks)
     mark, deck = (judge_touchdown(scene, np.array([x, 0.0])) for x in (10.0, 20.0))
     assert mark.safe and mark.land_class == "path"
     assert not deck.safe and deck.land_class == "other"
 
 
-def test_bare_ground_lies_where_its_body_puts_it(tmp_path: Path) -> None:
+def test_bare_ground_lies_where_its_body_puts_it() -> None:
     """An obstacle's height counts from a slope of 4.4 degrees on a raised and moved body."""
     field = " ".join(str(column / 4) for column in list(range(5)) * 4)
     assets = f"<hfield name='a' nrow='4' ncol='5' size='9 7 1.4 0.5' elevation='{field}'/>"
@@ -156,7 +140,7 @@ def test_bare_ground_lies_where_its_body_puts_it(tmp_path: Path) -> None:
         "<body pos='20 0 1.5'><geom name='lawn_h' type='hfield' hfield='a'/>"
         "<geom name='building_b' type='box' size='0.5 0.5 1' pos='6 0 1'/></body>"
     )
-    scene = scene_of(tmp_path, things, assets)
+    scene = scene_on_lawn(things, assets)
     judged = judge_touchdown(scene, np.array([20.0, 0.0]))
     assert judged.safe and judged.land_class == "lawn"
     assert judged.slope_deg == pytest.approx(np.degrees(np.arctan(1.4 / 18.0)), abs=0.01)

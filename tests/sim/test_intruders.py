@@ -1,7 +1,6 @@
 """Intruders: from where they come, and when."""
 
 import math
-from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -9,10 +8,11 @@ import pytest
 
 from touchdown.experiments.flight.metrics import Nearest
 from touchdown.scenes.api import Guests, Scene, TrafficParams
-from touchdown.scenes.compose import load_scene
 from touchdown.sim.api import Command, FaultParams, Truth, WorldParams
 from touchdown.sim.frames import Pose
 from touchdown.sim.world import MujocoWorld
+
+from support.places import scene_of
 
 PLACE = """<mujoco><worldbody>
   <geom name="lawn" type="plane" size="60 60 1"/>
@@ -22,12 +22,10 @@ PLACE = """<mujoco><worldbody>
 
 
 @pytest.fixture
-def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
+def scene() -> Scene:
     """Walls in the north and the east of a site at (0, 0)."""
-    file = tmp_path_factory.mktemp("place") / "place.xml"
-    file.write_text(PLACE.format(y=9))
     traffic = TrafficParams(intruder="runner", intruder_from_m=10.0, intruder_stays_s=3.0)
-    return load_scene(str(file), 0, traffic=traffic, guests=Guests(intruders=1))
+    return scene_of(PLACE.format(y=9), traffic=traffic, guests=Guests(intruders=1))
 
 
 def flown(scene: Scene, seed: int, fault: str, seconds: float) -> tuple[MujocoWorld, list[Truth]]:
@@ -61,14 +59,13 @@ def test_an_intruder_comes_over_open_ground_stays_and_goes_on(scene: Scene, seed
     world.close()
 
 
-def test_beside_the_ground_an_intruder_walks_on_at_its_height(tmp_path: Path) -> None:
-    file = tmp_path / "raft.xml"
-    file.write_text(
+def test_beside_the_ground_an_intruder_walks_on_at_its_height() -> None:
+    raft = (
         "<mujoco><worldbody><geom name='lawn' type='box' size='8 8 1' pos='0 0 1'/>"
         "<site name='takeoff' pos='5 5 2'/></worldbody></mujoco>"
     )
     traffic = TrafficParams(intruder="runner", intruder_from_m=12.0, intruder_stays_s=0.1)
-    scene = load_scene(str(file), 0, traffic=traffic, guests=Guests(intruders=1))
+    scene = scene_of(raft, traffic=traffic, guests=Guests(intruders=1))
     world, truths = flown(scene, 0, "intruder@descend", 12.0)
     heights = np.concatenate([t.living_world[:, 2] for t in truths])
     assert len(heights) > 2000 and heights == pytest.approx(heights[0])

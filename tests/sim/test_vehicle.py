@@ -1,13 +1,11 @@
 """The airframe's MJCF, its rotors and its contact with the ground."""
 
-from pathlib import Path
-
 import mujoco
 import numpy as np
 import pytest
 
 from touchdown.scenes.api import Scene
-from touchdown.scenes.compose import VEHICLE_XML, load_scene
+from touchdown.scenes.compose import VEHICLE_XML
 from touchdown.sim.airframe.battery import DRIVE_EFFICIENCY, Battery, PowerSystem
 from touchdown.sim.airframe.physics import prepare_physics, settle_on_ground
 from touchdown.sim.airframe.rotors import Rotors, ground_effect
@@ -18,6 +16,8 @@ from touchdown.sim.airframe.vehicle import (
 )
 from touchdown.sim.api import AIR_DENSITY_KGPM3, GRAVITY_MPS2, VehicleModel
 from touchdown.sim.frames import matrix_from_quat_wxyz, rotation_from_yaw
+
+from support.places import scene_of
 
 TICK_HZ = 600
 LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
@@ -44,10 +44,8 @@ def vehicle(alone: mujoco.MjModel) -> VehicleModel:
     return vehicle_model(alone, prefix="")
 
 
-def _scene(folder: Path, xml: str) -> Scene:
-    path = folder / "place.xml"
-    path.write_text(xml)
-    scene = load_scene(str(path), 0)
+def _scene(xml: str) -> Scene:
+    scene = scene_of(xml)
     prepare_physics(scene.model, TICK_HZ)
     return scene
 
@@ -188,9 +186,9 @@ def test_ground_effect_follows_cheeseman_and_bennett(
     assert near / far == pytest.approx(ground_effect(height, 0.1905))
 
 
-def test_fuselage_drag_is_that_of_a_bluff_body(tmp_path: Path, vehicle: VehicleModel) -> None:
+def test_fuselage_drag_is_that_of_a_bluff_body(vehicle: VehicleModel) -> None:
     """rho (C_blunt A_front + C_slender (A_max - A_front)) v^2, MuJoCo's ellipsoid model."""
-    scene = _scene(tmp_path, FLAT)
+    scene = _scene(FLAT)
     data = mujoco.MjData(scene.model)
     data.qpos[2] = 20.0
     data.qvel[0] = 5.0
@@ -202,12 +200,10 @@ def test_fuselage_drag_is_that_of_a_bluff_body(tmp_path: Path, vehicle: VehicleM
 
 @pytest.mark.parametrize("speed", [0.1, 0.2, 0.3])
 @pytest.mark.parametrize("ground", ["flat", "rough"])
-def test_touchdown_neither_bounces_nor_penetrates(
-    tmp_path: Path, speed: float, ground: str
-) -> None:
+def test_touchdown_neither_bounces_nor_penetrates(speed: float, ground: str) -> None:
     heights = np.random.default_rng(0).uniform(0.0, 0.1, 41 * 41)
     xml = FLAT if ground == "flat" else ROUGH.format(" ".join(f"{h:.4f}" for h in heights))
-    scene = _scene(tmp_path, xml)
+    scene = _scene(xml)
     data = mujoco.MjData(scene.model)
     settle_on_ground(scene, data)
     rest = data.qpos[2]

@@ -2,14 +2,12 @@
 
 import math
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
 from touchdown.scenes.api import Scene
-from touchdown.scenes.compose import load_scene
 from touchdown.sim import api as sim
 from touchdown.sim.airframe.vehicle import rotor_geometry
 from touchdown.sim.effects import Effects, Returns
@@ -18,6 +16,7 @@ from touchdown.sim.frames import Pose
 from touchdown.sim.typing import Array
 from touchdown.sim.world import MujocoWorld
 
+from support.places import scene_of
 from support.worlds import NO_NOISE, STILL_AIR
 
 XML = """<mujoco><worldbody>
@@ -27,15 +26,8 @@ XML = """<mujoco><worldbody>
 
 
 @pytest.fixture(scope="module")
-def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path: Path = tmp_path_factory.mktemp("place") / "place.xml"
-    path.write_text(XML)
-    return path
-
-
-@pytest.fixture(scope="module")
-def scene(place: Path) -> Scene:
-    return load_scene(str(place), 0)
+def scene() -> Scene:
+    return scene_of(XML)
 
 
 class Flown:
@@ -156,8 +148,8 @@ def test_faults_of_messages_act_in_the_world(scene: Scene) -> None:
     assert not any(obs.gps for obs in lost.seen)
 
 
-def test_the_lamp_lights_the_ground_at_night(place: Path) -> None:
-    night = load_scene(str(place), 0, light="night")
+def test_the_lamp_lights_the_ground_at_night() -> None:
+    night = scene_of(XML, light="night")
     means = []
     for below_m in (0.0, 20.0):
         flown = Flown(

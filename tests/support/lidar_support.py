@@ -13,6 +13,8 @@ from touchdown.sim.lidar.returns import LinkBudget
 from touchdown.sim.moving import BodyTrack
 from touchdown.sim.typing import Array
 
+from support.places import bare_scene
+
 TICK_HZ = 600
 
 
@@ -33,11 +35,8 @@ def make_scene(
     assets: str = "",
 ) -> Scene:  # fmt: skip
     xml = f"<mujoco><asset>{assets}</asset><worldbody>{world}</worldbody></mujoco>"
-    return Scene(
-        name="test", seed=0, model=mujoco.MjModel.from_xml_string(xml), takeoff_xy_m=np.zeros(2),
-        takeoff_yaw=0.0, bounds_xy_m=np.array([[-60.0, -60.0], [60.0, 60.0]]),
-        surfaces=surfaces or {}, ground=ground, moving=(),
-    )  # fmt: skip
+    model = mujoco.MjModel.from_xml_string(xml)
+    return bare_scene(model, surfaces=surfaces or {}, ground=ground)
 
 
 def track(ticks: tuple[int, int], height: float, turn_rate: Array | None = None) -> BodyTrack:

@@ -2,7 +2,9 @@
 
 import functools
 import tempfile
+import warnings
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -11,6 +13,7 @@ from touchdown.scenes.api import Scene
 from touchdown.scenes.cache import cached_scene as scene_on_disk
 from touchdown.scenes.compose import load_scene
 from touchdown.scenes.truth.maps import judge_touchdown
+from touchdown.scenes.truth.static_surface import cast_points
 
 PARTS = ("tex_data", "geom_pos", "hfield_data", "mesh_vert", "light_dir", "qpos0")
 
@@ -21,12 +24,42 @@ def cached_scene(name: str, seed: int = 0) -> Scene:
     return scene_on_disk(name, seed, None, "day")
 
 
-def scene_of(xml: str) -> Scene:
+def scene_of(xml: str, seed: int = 0, **options: Any) -> Scene:
     """The scene of a file with this text."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "place.xml"
         path.write_text(xml, encoding="utf-8")
-        return load_scene(str(path), 0)
+        return load_scene(str(path), seed, **options)
+
+
+def scene_on_lawn(things: str, assets: str = "") -> Scene:
+    """The scene of a file with a lawn of 120 m and these things."""
+    return scene_of(
+        f"<mujoco><asset>{assets}</asset><worldbody><geom name='lawn' type='plane' size='60 60 1'/>"
+        f"{things}</worldbody></mujoco>"
+    )
+
+
+def bare_scene(model: mujoco.MjModel, **parts: Any) -> Scene:
+    """A model as a scene of which nothing is known but ``parts``."""
+    rest = {
+        "name": "test", "seed": 0, "takeoff_xy_m": np.zeros(2), "takeoff_yaw": 0.0,
+        "bounds_xy_m": np.array([[-60.0, -60.0], [60.0, 60.0]]), "surfaces": {}, "ground": None,
+        "moving": (),
+    }  # fmt: skip
+    return Scene(model=model, **(rest | parts))
+
+
+def load_quietly(path: str | Path, **options: Any) -> Scene:
+    """The scene of a file, whatever there is to say of it."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return load_scene(str(path), 0, **options)
+
+
+def height_at(scene: Scene, x: float, y: float) -> float:
+    """Of what is seen from above."""
+    return float(cast_points(scene, np.array([[x, y]]))[0][0])
 
 
 def check_takeoff(scene: Scene, clear_m: float, slope_deg: float = 2.0) -> None:

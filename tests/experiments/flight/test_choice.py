@@ -1,6 +1,4 @@
 import json
-import tempfile
-from pathlib import Path
 
 import numpy as np
 
@@ -9,7 +7,8 @@ from touchdown.experiments.flight.result import choice_of, missed_ground
 from touchdown.experiments.io.results import RunResult
 from touchdown.experiments.reporting.report_tables import missed_lines
 from touchdown.landing.api import Candidate, Decision, ScoreTerm, SiteRule
-from touchdown.scenes.compose import load_scene
+
+from support.places import scene_of
 
 
 def _candidate(rule: SiteRule, value: float, accepted: bool) -> Candidate:
@@ -56,13 +55,10 @@ def test_last_decision_is_listed_in_full_and_earlier_ones_by_rule() -> None:
 def test_what_a_flight_missed_is_told_by_the_truth() -> None:
     """A slab 0.4 m high from x = 20 m on, of a class that is refused rightly, makes the lawn unsafe
     from 18.5 m on; the map holds 10 x 10 m elsewhere."""
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "place.xml"
-        path.write_text(
-            '<mujoco><worldbody><geom name="lawn" type="box" size="30 30 1" pos="10 20 -1"/>'
-            '<geom name="road" type="box" size="2 20 .2" pos="22 20 .2"/></worldbody></mujoco>'
-        )
-        scene = load_scene(str(path), 0)
+    scene = scene_of(
+        '<mujoco><worldbody><geom name="lawn" type="box" size="30 30 1" pos="10 20 -1"/>'
+        '<geom name="road" type="box" size="2 20 .2" pos="22 20 .2"/></worldbody></mujoco>'
+    )
     grid = GroundMap(
         np.array([-2.0, 18.0]), 1.0, np.zeros((20, 20), np.float32), np.zeros((20, 20))
     )

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from touchdown.scenes.api import Guests, Limb, MovingBody, Scene, TrafficParams
-from touchdown.scenes.compose import load_scene
 from touchdown.scenes.truth import static_surface
 from touchdown.sim.moving import OUT_OF_THE_WORLD_M, MovingBodies
+
+from support.places import bare_scene, scene_of
 
 PLACE = """<mujoco><worldbody>
   <geom name="lawn" type="plane" size="20 20 1"/>
@@ -21,33 +22,27 @@ PLACE = """<mujoco><worldbody>
 
 
 @pytest.fixture(scope="module")
-def place(tmp_path_factory: pytest.TempPathFactory) -> str:
-    file = tmp_path_factory.mktemp("place") / "place.xml"
-    file.write_text(PLACE)
-    return str(file)
-
-
-@pytest.fixture(scope="module")
-def busy(place: str) -> Scene:
+def busy() -> Scene:
     counts = TrafficParams(people=12, dogs=4, bicycles=4, cars=2)
-    return load_scene(place, 5, traffic=counts, guests=Guests(intruders=1))
+    return scene_of(PLACE, 5, traffic=counts, guests=Guests(intruders=1))
 
 
 def roots(scene: Scene) -> list[MovingBody]:
     return [body for body in scene.moving if body.walker == body.body_name]
 
 
-def test_who_was_asked_for_is_there_and_the_seed_decides_where(place: str, busy: Scene) -> None:
+def test_who_was_asked_for_is_there_and_the_seed_decides_where(busy: Scene) -> None:
     kinds = [body.body_name.split("/")[1].split("_")[0] for body in roots(busy)]
     assert [kinds.count(kind) for kind in ("person", "dog", "bicycle", "car", "intruder")] == [
         12, 4, 4, 2, 1,
     ]  # fmt: skip
-    same = load_scene(place, 5, traffic=busy.traffic, guests=Guests(intruders=1))
-    other = load_scene(place, 6, traffic=busy.traffic, guests=Guests(intruders=1))
+    same, other = (
+        scene_of(PLACE, seed, traffic=busy.traffic, guests=Guests(intruders=1)) for seed in (5, 6)
+    )
     path = roots(busy)[0].path_world
     assert np.array_equal(path, roots(same)[0].path_world)
     assert not np.array_equal(path, roots(other)[0].path_world)
-    assert load_scene(place, 5).moving == ()
+    assert scene_of(PLACE, 5).moving == ()
 
 
 def test_nobody_walks_through_walls_or_water_or_over_the_pad(busy: Scene) -> None:
@@ -69,10 +64,9 @@ def test_limbs_swing_by_the_way_gone_and_hang_when_one_stands() -> None:
     path = np.array([[0.0, 0.0, 0.0], [0.0, 4.0, 0.0], [0.0, 4.0, 0.0]])
     times = np.array([1.0, 5.0, 9.0])
     common = {"path_world": path, "times_s": times, "walker": "walker", "alive": True}
-    moving = MovingBodies(
-        scene_of(spec, MovingBody(body_name="walker", **common),
-                 MovingBody(body_name="leg", limb=leg, **common))
-    )  # fmt: skip
+    walker = MovingBody(body_name="walker", **common)
+    swinging = MovingBody(body_name="leg", limb=leg, **common)
+    moving = MovingBodies(bare_scene(spec.compile(), moving=(walker, swinging)))
     tracks = moving.tracks(np.array([0.0, 1.5, 2.5, 8.0]))
     assert tracks["walker"].positions[:, 1].tolist() == [0.0, 0.5, 1.5, 4.0]
     # a quarter of a stride and three
@@ -82,13 +76,6 @@ def test_limbs_swing_by_the_way_gone_and_hang_when_one_stands() -> None:
     assert tracks["leg"].positions[1] == pytest.approx(
         [-0.1, 0.5, 0.9]
     )  # left of one who goes north
-
-
-def scene_of(spec: mujoco.MjSpec, *moving: MovingBody) -> Scene:
-    return Scene(
-        name="test", seed=0, model=spec.compile(), takeoff_xy_m=np.zeros(2), takeoff_yaw=0.0,
-        bounds_xy_m=np.array([[-9.0, -9.0], [9.0, 9.0]]), surfaces={}, ground=None, moving=moving,
-    )  # fmt: skip
 
 
 def test_an_intruder_is_out_of_the_world_until_it_is_sent(busy: Scene) -> None:
@@ -106,10 +93,10 @@ def test_an_intruder_is_out_of_the_world_until_it_is_sent(busy: Scene) -> None:
     assert moving.living(data)[-1] == pytest.approx([2.5, 0.0, 0.0])
 
 
-def test_own_paths(place: str, tmp_path: Path) -> None:
+def test_own_paths(tmp_path: Path) -> None:
     file = tmp_path / "paths.csv"
     file.write_text("name,t,x,y\nperson_a,2,0,0\nperson_a,6,4,0\ndog_b,0,1,1\ndog_b,1,1,3\n")
-    scene = load_scene(place, 0, traffic=TrafficParams(paths=str(file)))
+    scene = scene_of(PLACE, traffic=TrafficParams(paths=str(file)))
     places = MovingBodies(scene).tracks(np.array([0.0, 4.0, 99.0]))
     assert places["traffic/own_person_a"].positions[:, 0] == pytest.approx([0.0, 2.0, 4.0])
     assert places["traffic/own_dog_b"].positions[:, 1] == pytest.approx([1.0, 3.0, 3.0])
@@ -123,14 +110,12 @@ def test_own_paths(place: str, tmp_path: Path) -> None:
     ("name,t,x,y\nperson,0,nan,1\n", "not finite"),
     ("name,t,x,y\nperson,0,1,1\nperson,1,1,1\n", "goes nowhere"),
 ])  # fmt: skip
-def test_wrong_paths_are_named(place: str, tmp_path: Path, text: str, said: str) -> None:
+def test_wrong_paths_are_named(tmp_path: Path, text: str, said: str) -> None:
     (tmp_path / "paths.csv").write_text(text)
     with pytest.raises(ValueError, match=said):
-        load_scene(place, 0, traffic=TrafficParams(paths=str(tmp_path / "paths.csv")))
+        scene_of(PLACE, traffic=TrafficParams(paths=str(tmp_path / "paths.csv")))
 
 
-def test_a_place_where_nobody_can_walk(tmp_path: Path) -> None:
-    file = tmp_path / "sea.xml"
-    file.write_text(PLACE.replace('name="lawn"', 'name="water"'))
+def test_a_place_where_nobody_can_walk() -> None:
     with pytest.raises(ValueError, match="nobody can walk within 30 m"):
-        load_scene(str(file), 0, traffic=TrafficParams(people=1))
+        scene_of(PLACE.replace('"lawn"', '"water"'), traffic=TrafficParams(people=1))

@@ -2,7 +2,6 @@
 
 import csv
 import dataclasses
-from pathlib import Path
 
 import cv2
 import mujoco
@@ -10,12 +9,11 @@ import numpy as np
 import pytest
 
 from touchdown.scenes.api import DETAILS, NO_DETAIL_ID, Scene
-from touchdown.scenes.compose import load_scene
 from touchdown.sim.api import CameraParams
 from touchdown.sim.camera import detail_texture
 from touchdown.sim.camera.sensor import CameraSensor
 
-from support.places import cached_scene
+from support.places import cached_scene, scene_of
 
 SIZE = (200, 120)
 PLACE = """<mujoco><worldbody>
@@ -32,10 +30,8 @@ def params(**changes: object) -> CameraParams:
 
 
 @pytest.fixture
-def place(tmp_path: Path) -> Scene:
-    path = tmp_path / "place.xml"
-    path.write_text(PLACE)
-    return load_scene(str(path), 0)
+def place() -> Scene:
+    return scene_of(PLACE)
 
 
 def picture(
