@@ -26,6 +26,7 @@ from touchdown.sim.typing import Array
 
 from support.flight_fakes import make_estimate
 from support.landing_support import make_obs, make_rig
+from support.messages import make_scan
 
 RNG = np.random.default_rng(3)
 SPEED = np.array([2.5, -1.0, 0.0])
@@ -203,20 +204,12 @@ def scan_of(tick: int, rig_pose: Pose, decks: list[tuple[Array, tuple[float, flo
         on = (np.abs(met[:, :2] - middle[:2]) < 0.5 * np.array(size)).all(axis=1)
         nearer = on & ((ranges == 0.0) | (way < ranges))
         ranges[nearer] = way[nearer]
-    return LidarScan(
-        start_tick=tick - 60, end_tick=tick, start_time_s=(tick - 60) / 600.0,
-        end_time_s=tick / 600.0, directions=directions.astype(np.float32),
-        ranges=ranges.astype(np.float32),
-        time_offsets=np.full(12_000, 0.1, np.float32), intensity=np.full(12_000, 30, np.uint8),
-    )  # fmt: skip
+    return make_scan(tick, directions, ranges, 0.1, 30)
 
 
 def test_the_deck_is_the_largest_surface_once_all_of_it_is_in_view() -> None:
     """A bow comes first; the odometry gets no scan from then on until the deck is gone."""
-    rig, inner = make_rig(), Still()
-    rig = dataclasses.replace(
-        rig, world_from_body_start=Pose(np.eye(3), np.array([30.0, 30.0, 0.0]))
-    )
+    rig, inner = make_rig((30.0, 30.0, 0.0)), Still()
     odometry = DeckOdometry(inner, rig)
     lidar = Pose(np.eye(3), np.array([0.0, 0.0, 25.0])) @ rig.body_from_lidar
     found_s, seen = None, []
@@ -248,10 +241,7 @@ def test_the_deck_is_the_largest_surface_once_all_of_it_is_in_view() -> None:
 @pytest.mark.parametrize("swapped", [False, True])
 def test_a_deck_that_is_led_astray_comes_back_and_water_is_none(swapped: bool) -> None:
     """Without corners, its site is shifted once; or level water is where the deck was."""
-    rig, inner = make_rig(), Still()
-    rig = dataclasses.replace(
-        rig, world_from_body_start=Pose(np.eye(3), np.array([30.0, 30.0, 0.0]))
-    )
+    rig, inner = make_rig((30.0, 30.0, 0.0)), Still()
     odometry, found_s = DeckOdometry(inner, rig), None
     lidar = Pose(np.eye(3), np.array([0.0, 0.0, 25.0])) @ rig.body_from_lidar
     for tick in range(60, 600 * 8, 60):
@@ -277,9 +267,7 @@ def test_a_deck_that_is_led_astray_comes_back_and_water_is_none(swapped: bool) -
 
 
 def test_a_glint_is_not_followed() -> None:
-    rig = dataclasses.replace(
-        make_rig(), world_from_body_start=Pose(np.eye(3), np.array([30.0, 30.0, 0.0]))
-    )
+    rig = make_rig((30.0, 30.0, 0.0))
     odometry = DeckOdometry(Still(), rig)
     lidar = Pose(np.eye(3), np.array([0.0, 0.0, 25.0])) @ rig.body_from_lidar
     sheet = scan_of(60, lidar, [(np.zeros(3), (60.0, 60.0))])
@@ -315,9 +303,7 @@ def photographed(rig: SensorRig, body: Pose, middle: Array, side_m: float) -> Ar
 def test_a_tag_places_the_site_where_its_deck_is_high() -> None:
     """The tag is aside of the middle, which scans see, and larger than told, so that it seems
     nearer by a metre."""
-    rig = dataclasses.replace(
-        make_rig(), world_from_body_start=Pose(np.eye(3), np.array([30.0, 30.0, 0.0]))
-    )
+    rig = make_rig((30.0, 30.0, 0.0))
     body = Pose(np.eye(3), np.array([0.0, 0.0, 25.0]))
     odometry, seen = DeckOdometry(Still(), rig, TAG_M), []
     for tick in range(3, 600 * 6, 3):

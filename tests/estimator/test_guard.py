@@ -13,22 +13,16 @@ from support.fault_air_support import look_down
 from support.landing_support import make_obs
 from support.lidar_support import PLANE
 from support.livo_flight import RIG
+from support.messages import make_scan
 
 HEIGHT, WIDTH = RIG.camera.height, RIG.camera.width
 
 
 def scan(end: int = 600, seed: int = 0, **changes: Any) -> LidarScan:
     rng = np.random.default_rng([end, seed])
-    directions = np.tile(np.array([0.0, 0.0, 1.0], np.float32), (20, 1))
-    values: dict[str, Any] = {
-        "start_tick": end - 60, "end_tick": end,
-        "start_time_s": (end - 60) / 600, "end_time_s": end / 600,
-        "directions": directions,
-        "ranges": rng.uniform(5.0, 9.0, 20).astype(np.float32),
-        "time_offsets": np.linspace(0.005, 0.1, 20, dtype=np.float32),
-        "intensity": np.full(20, 9, np.uint8),
-    }  # fmt: skip
-    return LidarScan(**(values | changes))
+    down = np.tile([0.0, 0.0, 1.0], (20, 1))
+    made = make_scan(end, down, rng.uniform(5.0, 9.0, 20), np.linspace(0.005, 0.1, 20), 9)
+    return dataclasses.replace(made, **changes)
 
 
 def image(tick: int = 600, **changes: Any) -> CameraImage:

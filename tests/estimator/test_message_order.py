@@ -11,6 +11,7 @@ from touchdown.sim.delivery import Latency
 
 from support import livo_flight
 from support.landing_support import make_obs
+from support.messages import make_scan
 
 RIG = livo_flight.RIG
 PERIODS = {"scans": 60, "images": 60}
@@ -18,12 +19,7 @@ PATIENCE = 180
 
 
 def _scan(tick: int) -> LidarScan:
-    empty = np.zeros(0, np.float32)
-    return LidarScan(
-        start_tick=tick - 60, end_tick=tick, start_time_s=(tick - 60) / 600, end_time_s=tick / 600,
-        directions=np.zeros((0, 3), np.float32), ranges=empty, time_offsets=empty,
-        intensity=np.zeros(0, np.uint8),
-    )  # fmt: skip
+    return make_scan(tick, np.zeros((0, 3)), [])
 
 
 def _image(tick: int) -> CameraImage:

@@ -12,6 +12,7 @@ from touchdown.sim.frames import Pose, rotation_from_yaw
 
 from support import livo_flight, zou2024_flight
 from support.livo_flight import HZ, IMU_TICKS, RIG, SCAN_TICKS, START_Z
+from support.messages import make_scan
 
 RATE, PUSH = 0.5, np.array([0.2, -0.1, 0.1])
 """rad/s about the vertical, and m/s^2"""
@@ -37,12 +38,7 @@ def scan_of(targets: np.ndarray, end: int) -> LidarScan:
     eyes = [imu_at(start_s + t) @ mount for t in offsets]
     seen = [eye.inverse().apply(point) for eye, point in zip(eyes, targets, strict=True)]
     ranges = np.linalg.norm(seen, axis=1)
-    return LidarScan(
-        start_tick=end - SCAN_TICKS, end_tick=end, start_time_s=start_s, end_time_s=end / HZ,
-        directions=(np.array(seen) / ranges[:, None]).astype(np.float32),
-        ranges=ranges.astype(np.float32), time_offsets=offsets.astype(np.float32),
-        intensity=np.full(len(targets), 40, np.uint8),
-    )  # fmt: skip
+    return make_scan(end, np.array(seen) / ranges[:, None], ranges, offsets)
 
 
 @pytest.mark.parametrize(("shift", "newest"), [(0, 75), (1, 75), (2, 75), (1, 72), (2, 72)])

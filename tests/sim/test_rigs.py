@@ -24,6 +24,7 @@ from touchdown.sim.posed_sensors import PosedSensors
 from touchdown.sim.typing import Array
 
 from support.livo_flight import make_rig
+from support.messages import make_scan
 
 
 def test_sensors_are_turned_about_the_body_s_axes() -> None:
@@ -60,12 +61,8 @@ def test_sensors_that_look_up_are_refused(guests: Guests, words: str) -> None:
 
 def _scan(points: Array, offsets: list[float]) -> LidarScan:
     ranges = np.linalg.norm(points, axis=1)
-    return LidarScan(
-        start_tick=0, end_tick=60, start_time_s=0.0, end_time_s=0.1,
-        directions=(points / np.where(ranges > 0.0, ranges, 1.0)[:, None]).astype(np.float32),
-        ranges=ranges.astype(np.float32), time_offsets=np.array(offsets, np.float32),
-        intensity=np.arange(1, len(points) + 1, dtype=np.uint8),
-    )  # fmt: skip
+    directions = points / np.where(ranges > 0.0, ranges, 1.0)[:, None]
+    return make_scan(60, directions, ranges, offsets, np.arange(1, len(points) + 1))
 
 
 def test_two_scans_are_merged_in_the_frame_of_the_first() -> None:

@@ -7,22 +7,17 @@ import numpy as np
 from touchdown.sim.api import CameraImage, FaultParams, GpsFix, LidarScan, Observation
 from touchdown.sim.faults.injector import FaultInjector
 
+from support.landing_support import make_obs
+from support.messages import make_scan
+
 HZ, STEP, PERIOD, LATENCY = 600, 3, 60, 36
-
-
 COUNT = 8
 
 
 def scan(end: int) -> LidarScan:
     """The ranges identify the scan."""
-    directions = np.tile(np.array([0.0, 0.0, 1.0], np.float32), (COUNT, 1))
-    return LidarScan(
-        start_tick=end - PERIOD, end_tick=end, start_time_s=(end - PERIOD) / HZ,
-        end_time_s=end / HZ, directions=directions,
-        ranges=np.full(COUNT, end / HZ, np.float32),
-        time_offsets=np.linspace(0.01, 0.1, COUNT, dtype=np.float32),
-        intensity=np.full(COUNT, 50, np.uint8),
-    )  # fmt: skip
+    down = np.tile([0.0, 0.0, 1.0], (COUNT, 1))
+    return make_scan(end, down, np.full(COUNT, end / HZ), np.linspace(0.01, 0.1, COUNT), 50)
 
 
 def image(tick: int) -> CameraImage:
@@ -44,13 +39,8 @@ def world(last: int = 1500) -> list[Observation]:
     for tick in range(0, last + 1, STEP):
         measured = tick - LATENCY
         due = measured > 0 and measured % PERIOD == 0
-        found.append(
-            Observation(
-                tick=tick, time_s=tick / HZ, scans=(scan(measured),) if due else (),
-                images=(image(measured),) if due else (), gps=(fix(measured),) if due else (),
-                rotor_speed_radps=np.zeros(4), battery_fraction=1.0,
-            )
-        )  # fmt: skip
+        messages = {"scans": scan, "images": image, "gps": fix} if due else {}
+        found.append(make_obs(tick, **{name: (of(measured),) for name, of in messages.items()}))
     return found
 
 

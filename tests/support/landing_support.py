@@ -7,6 +7,7 @@ import numpy as np
 from touchdown.estimator.api import HEIGHT_BIN_M, HEIGHT_BINS, Estimate, GridMap, MapView
 from touchdown.estimator.mapping.kernels import Grid, Pulses, accumulate_heights
 from touchdown.landing.api import LandingParams, Selection, SelectorInput, SelectorRig
+from touchdown.landing.selection.ground.elevation_raster import ElevationRaster, observed_raster
 from touchdown.landing.selection.selector import select_sites
 from touchdown.sim.api import (
     CameraIntrinsics,
@@ -20,6 +21,8 @@ from touchdown.sim.api import (
 )
 from touchdown.sim.frames import BODY_FROM_DOWNWARD_OPTICAL, Pose
 from touchdown.sim.typing import Array
+
+from support.messages import make_scan
 
 LEG_HEIGHT = 0.3
 DOWNWARD = Pose(BODY_FROM_DOWNWARD_OPTICAL, np.zeros(3))
@@ -60,6 +63,10 @@ def make_estimate(tick: int, pose: Pose, velocity: Any = (0.0, 0.0, 0.0)) -> Est
     )  # fmt: skip
 
 
+ABOVE = make_estimate(0, Pose(np.eye(3), np.array([8.0, 8.0, 30.0])))
+"""30 m above the middle of 16 x 16 m"""
+
+
 def make_imu(tick: int, up_mps2: float) -> ImuSample:
     return ImuSample(
         tick=tick, time_s=tick / 600.0, angular_velocity=np.zeros(3),
@@ -88,13 +95,7 @@ def cast_scan(
         end = origin[:2] + distance * beam[:2]
         lost = hole is not None and (end >= hole[0]).all() and (end <= hole[1]).all()
         ranges[i] = 0.0 if lost else distance
-    start = start_tick / 600.0
-    return LidarScan(
-        start_tick=start_tick, end_tick=start_tick + 60, start_time_s=start, end_time_s=start + 0.1,
-        directions=directions.astype(np.float32), ranges=ranges.astype(np.float32),
-        time_offsets=np.linspace(0.1 / n, 0.1, n).astype(np.float32),
-        intensity=np.full(n, 40, np.uint8),
-    )  # fmt: skip
+    return make_scan(start_tick + 60, directions, ranges, np.linspace(0.1 / n, 0.1, n))
 
 
 def beam_fan(n: int, half_x: float, half_y: float, seed: int) -> Array:
@@ -103,6 +104,12 @@ def beam_fan(n: int, half_x: float, half_y: float, seed: int) -> Array:
     d = np.column_stack([rng.uniform(-half_x, half_x, n), rng.uniform(-half_y, half_y, n),
                          np.ones(n)])  # fmt: skip
     return d / np.linalg.norm(d, axis=1, keepdims=True)
+
+
+def rising(slope_deg: float = 0.0, side: int = 80, cell_m: float = 0.2) -> Array:
+    """Heights of a square, 16 x 16 m, that rises to the east."""
+    _, x = np.mgrid[0:side, 0:side] * cell_m
+    return np.tan(np.deg2rad(slope_deg)) * x
 
 
 def make_grid(
@@ -142,6 +149,12 @@ def grid_of_returns(
         intensity=np.full(shape, 40.0, np.float32), missing=np.zeros(shape, np.float32),
         last_seen_s=np.zeros(shape, np.float32), histogram=histogram, histogram_base_m=base,
     )  # fmt: skip
+
+
+def raster_of(grid: GridMap) -> ElevationRaster:
+    raster = observed_raster(grid)
+    assert raster is not None
+    return raster
 
 
 def view_of(coarse: GridMap, fine: GridMap | None = None) -> MapView:

@@ -23,7 +23,9 @@ from touchdown.sim.api import (
 )
 from touchdown.sim.frames import BODY_FROM_DOWNWARD_OPTICAL, Pose
 
-HZ, IMU_TICKS, SCAN_TICKS, LATENCY = 600, 3, 60, 36
+from support.messages import HZ, SCAN_TICKS, make_scan
+
+IMU_TICKS, LATENCY = 3, 36
 
 
 START_Z = 12.0
@@ -74,12 +76,7 @@ def scan_ending_at(tick: int, motion: Motion = position_at) -> LidarScan:
     directions = np.column_stack([directions, np.ones(count)])
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     heights = np.array([motion(start_s + offset)[2] for offset in offsets])
-    return LidarScan(
-        start_tick=tick - SCAN_TICKS, end_tick=tick, start_time_s=start_s, end_time_s=tick / HZ,
-        directions=directions.astype(np.float32),
-        ranges=((heights - 0.15) / directions[:, 2]).astype(np.float32),
-        time_offsets=offsets.astype(np.float32), intensity=np.full(count, 40, dtype=np.uint8),
-    )  # fmt: skip
+    return make_scan(tick, directions, (heights - 0.15) / directions[:, 2], offsets)
 
 
 def ground_grey(x: np.ndarray, y: np.ndarray) -> np.ndarray:

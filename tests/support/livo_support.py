@@ -21,7 +21,7 @@ from touchdown.estimator.livo.scan_update import (
     plane_equations,
 )
 from touchdown.estimator.livo.visual import VisualFrontEnd
-from touchdown.sim.api import GRAVITY_MPS2, CameraIntrinsics, ImuParams, LidarScan
+from touchdown.sim.api import GRAVITY_MPS2, CameraIntrinsics, ImuParams
 from touchdown.sim.frames import BODY_FROM_DOWNWARD_OPTICAL, Pose, so3_exp
 
 STEP_S = 0.005
@@ -77,18 +77,6 @@ def state_at(rotation: np.ndarray, position: np.ndarray) -> NavState:
 def placed(points: np.ndarray, beams: np.ndarray | None = None) -> PlacedScan:
     """Returns a scan of given (N, 3) points; ``beams``: by default the points."""
     return PlacedScan(points, points if beams is None else beams, np.arange(len(points)))
-
-
-def lidar_scan(
-    directions: np.ndarray, ranges: np.ndarray, time_offsets: np.ndarray | None = None
-) -> LidarScan:
-    """Returns a scan of 0.1 s with the given pulses."""
-    offsets = np.zeros(len(ranges)) if time_offsets is None else time_offsets
-    return LidarScan(
-        start_tick=0, end_tick=60, start_time_s=0.0, end_time_s=0.1,
-        directions=directions.astype(np.float32), ranges=ranges.astype(np.float32),
-        time_offsets=offsets.astype(np.float32), intensity=np.zeros(len(ranges), np.uint8),
-    )  # fmt: skip
 
 
 def plane_information(

@@ -15,6 +15,7 @@ from touchdown.sim.frames import Pose
 
 from support import livo_flight
 from support.livo_flight import HZ, SCAN_TICKS, START_Z, position_at
+from support.messages import make_scan
 
 LAST = 960
 NOTHING = np.zeros((0, 3))
@@ -52,12 +53,7 @@ def scan_ending_at(tick: int) -> LidarScan:
     slopes = np.column_stack([across, along])
     directions = np.column_stack([slopes, np.ones(count)])
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    return LidarScan(
-        start_tick=tick - SCAN_TICKS, end_tick=tick, start_time_s=(tick - SCAN_TICKS) / HZ,
-        end_time_s=tick / HZ, directions=directions.astype(np.float32),
-        ranges=((START_Z - 0.15) / directions[:, 2]).astype(np.float32),
-        time_offsets=offsets.astype(np.float32), intensity=np.full(count, 40, dtype=np.uint8),
-    )  # fmt: skip
+    return make_scan(tick, directions, (START_Z - 0.15) / directions[:, 2], offsets)
 
 
 def _ground() -> np.ndarray:

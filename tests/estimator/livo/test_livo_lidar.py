@@ -28,7 +28,8 @@ from touchdown.estimator.livo.scan_update import (
 from touchdown.sim.api import LidarParams
 from touchdown.sim.frames import Pose, so3_exp
 
-from support.livo_support import lidar_scan, placed, plane_information, room_points, state_at
+from support.livo_support import placed, plane_information, room_points, state_at
+from support.messages import make_scan
 
 
 def test_deskew_brings_a_fixed_point_to_one_place() -> None:
@@ -49,7 +50,7 @@ def test_deskew_brings_a_fixed_point_to_one_place() -> None:
         in_lidar = mount.T @ (in_imu - lever)
         ranges[i] = np.linalg.norm(in_lidar)
         directions[i] = in_lidar / ranges[i]
-    scan = lidar_scan(directions, ranges, offsets)
+    scan = make_scan(60, directions, ranges, offsets, 0)
     pulses = screen_scan(scan, LidarParams())
     path = ScanPath(times, rotations, positions, steps)
     result = place_scan(scan, pulses, Pose(mount, lever), path)
@@ -62,7 +63,7 @@ def test_screening_keeps_valid_returns_only() -> None:
     directions = np.tile(np.array([0.0, 0.0, 1.0]), (7, 1))
     ranges = np.array([0.0, np.nan, np.inf, 0.2, 7.0, 261.0, 5.0])
     offsets = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, np.nan])
-    scan = lidar_scan(directions, ranges, offsets)
+    scan = make_scan(60, directions, ranges, offsets, 0)
     pulses = screen_scan(scan, LidarParams(min_range_m=0.5, max_range_m=260.0))
     np.testing.assert_array_equal(pulses, [4])
     path = ScanPath(np.array([0.0, 0.1]), np.tile(np.eye(3), (2, 1, 1)), np.zeros((2, 3)), 1)

@@ -24,9 +24,10 @@ from touchdown.estimator.filtering.zero_velocity import (
     align_with_gravity,
     judge_rest,
 )
-from touchdown.sim.api import GRAVITY_MPS2, ImuParams, ImuSample, Observation
+from touchdown.sim.api import GRAVITY_MPS2, ImuParams, ImuSample
 from touchdown.sim.frames import so3_exp, so3_log
 
+from support.landing_support import make_obs
 from support.livo_flight import make_rig
 from support.livo_support import STEP_S, state_at
 
@@ -241,13 +242,7 @@ def _started(rate: float, noise: float, rotors: float = 0.0) -> InertialFilter:
             tick=3 * k, time_s=k * STEP_S, angular_velocity=gyro, specific_force=force
         )
         inertial.take_imu(
-            Observation(
-                tick=3 * k,
-                time_s=k * STEP_S,
-                imu=(sample,),
-                battery_fraction=1.0,
-                rotor_speed_radps=np.full(4, rotors),
-            )
+            make_obs(3 * k, time_s=k * STEP_S, imu=(sample,), rotor_speed_radps=np.full(4, rotors))
         )
     inertial.carry_to(150)
     return inertial

@@ -15,7 +15,7 @@ from touchdown.experiments.external.synthetic_stream import SyntheticStream, syn
 from touchdown.experiments.io import ros2_messages as ros
 from touchdown.experiments.io.sensor_log_reader import SensorLogReader
 from touchdown.experiments.io.tum import TumWriter, read_tum
-from touchdown.sim.api import CameraIntrinsics, LidarScan, Observation, SensorNeeds
+from touchdown.sim.api import CameraIntrinsics, Observation, SensorNeeds
 from touchdown.sim.frames import Pose, matrix_from_quat_wxyz, rotation_from_yaw
 
 from support.export_support import (
@@ -29,6 +29,7 @@ from support.export_support import (
     stamp_of,
     vector,
 )
+from support.messages import make_scan
 from support.replay_support import shifted
 
 
@@ -250,12 +251,8 @@ def test_the_reader_of_mcap_decodes_every_message(bag: Path, messages: Any) -> N
 
 def test_pulses_without_return_are_no_points() -> None:
     forward = np.array([[0.0, 0.0, 1.0]] * 4, np.float32)
-    scan = LidarScan(
-        start_tick=60, end_tick=120, start_time_s=0.1, end_time_s=0.2, directions=forward,
-        ranges=np.array([0.0, 2.0, np.inf, 3.0], np.float32),
-        time_offsets=np.array([0.01, 0.02, 0.03, 0.04], np.float32),
-        intensity=np.array([0, 7, 0, 200], np.uint8),
-    )  # fmt: skip
+    offsets, levels = [0.01, 0.02, 0.03, 0.04], [0, 7, 0, 200]
+    scan = make_scan(120, forward, [0.0, 2.0, np.inf, 3.0], offsets, levels)
     cloud = again(ros.cloud_message(100_000_000, "lidar_link", scan, ros.VELODYNE_POINT))
     assert (cloud.height, cloud.width, cloud.point_step, cloud.row_step) == (1, 2, 24, 48)
     points = points_of(cloud)

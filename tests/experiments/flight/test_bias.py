@@ -10,6 +10,7 @@ from touchdown.experiments.flight.wiring import BiasedEstimator
 from touchdown.sim.api import Observation, SensorNeeds
 
 from support.flight_fakes import make_estimate
+from support.landing_support import make_obs
 
 
 class Script:
@@ -25,17 +26,11 @@ class Script:
         return replace(make_estimate(obs.time_s, [0.0, 0.0, height]), scan_track=track)
 
 
-def observe(time_s: float) -> Observation:
-    return Observation(
-        tick=round(600 * time_s), time_s=time_s, rotor_speed_radps=np.zeros(4), battery_fraction=1.0
-    )
-
-
 def test_ramp() -> None:
     biased = BiasedEstimator(Script(), BiasParams(xy_m=(0.5, -1.0)))
     assert biased.needs == SensorNeeds(lidar=True)
     for time_s, fraction in ((0.0, 0.0), (1.0, 0.0), (3.5, 0.5), (6.0, 1.0), (30.0, 1.0)):
-        estimate = biased.update(observe(time_s))
+        estimate = biased.update(make_obs(round(600 * time_s)))
         expected = fraction * np.array([0.5, -1.0])
         np.testing.assert_allclose(estimate.world_from_body.translation[:2], expected)
         np.testing.assert_allclose(estimate.scan_track.positions_odom[:, :2], [expected] * 2)

@@ -16,6 +16,8 @@ from touchdown.experiments.io.sensor_log import SensorLog
 from touchdown.experiments.io.sensor_log_reader import SensorLogReader
 from touchdown.sim.api import CameraImage, LidarScan, Observation, SensorNeeds
 
+from support.messages import make_scan
+
 ALL = SensorNeeds(
     camera_hz=10, stereo=True, lidar=True, gps=True, barometer=True, magnetometer=True,
     rangefinder=True,
@@ -72,12 +74,7 @@ def test_observations_are_read_back_bit_equal_repeatedly(
 
 def test_faulty_messages_are_read_back_unchanged(tmp_path: Path) -> None:
     """The log holds messages as faults changed them."""
-    nothing = np.zeros(0, np.float32)
-    empty = LidarScan(
-        start_tick=60, end_tick=120, start_time_s=0.1, end_time_s=0.2,
-        directions=np.zeros((0, 3), np.float32), ranges=nothing, time_offsets=nothing,
-        intensity=np.zeros(0, np.uint8),
-    )  # fmt: skip
+    empty = make_scan(120, np.zeros((0, 3)), [])
     bad = LidarScan(
         start_tick=120, end_tick=60, start_time_s=0.2, end_time_s=0.1,
         directions=np.array([[np.nan, 0.0, 1.0], [1e-42, -0.0, 1.0]], np.float32),

@@ -20,11 +20,13 @@ from touchdown.experiments.recording.rerun_recorder import MapTiles, scan_points
 from touchdown.experiments.recording.run_recorder import RunRecorder
 from touchdown.landing.api import Candidate, CostmapView, Phase, SemanticView
 from touchdown.scenes.api import MovingBody, Scene, Surface
-from touchdown.sim.api import CameraImage, Command, LidarScan, Observation, SensorNeeds, SensorRig
+from touchdown.sim.api import CameraImage, Command, LidarScan, SensorNeeds, SensorRig
 from touchdown.sim.frames import Pose, rotation_from_yaw
 
 from support.flight_fakes import make_estimate, make_truth, make_view
-from support.landing_support import make_rig
+from support.landing_support import make_obs, make_rig
+from support.messages import make_scan
+from support.places import bare_scene
 from support.worlds import load_ideal_config as load_config
 
 MJCF = """
@@ -57,10 +59,9 @@ def scene() -> Scene:
     model = mujoco.MjModel.from_xml_string(MJCF)
     model.hfield_data[:] = np.linspace(0.0, 1.0, 21 * 41)
     square = np.array([[0.0, 0, 1], [10, 0, 1], [10, 10, 1], [0, 10, 1]])
-    return Scene(
-        name="toy", seed=0, model=model, takeoff_xy_m=np.zeros(2), takeoff_yaw=0.0,
-        bounds_xy_m=np.array([[-20.0, -10.0], [20.0, 10.0]]),
-        surfaces={"terrain": Surface(land_class="lawn", reflectivity=0.4)}, ground=None,
+    return bare_scene(
+        model, bounds_xy_m=np.array([[-20.0, -10.0], [20.0, 10.0]]),
+        surfaces={"terrain": Surface(land_class="lawn", reflectivity=0.4)},
         moving=(MovingBody(body_name="car", path_world=square, speed_mps=2.0, start_m=5.0),),
     )  # fmt: skip
 
@@ -87,14 +88,8 @@ def _grid(cells: int = 160, cell_m: float = 0.2) -> GridMap:
 
 
 def _scan(start_s: float, directions: Any, ranges: Any) -> LidarScan:
-    count = len(ranges)
-    return LidarScan(
-        start_tick=round(600 * start_s), end_tick=round(600 * start_s) + 60, start_time_s=start_s,
-        end_time_s=start_s + 0.1, directions=np.asarray(directions, np.float32),
-        ranges=np.asarray(ranges, np.float32),
-        time_offsets=np.linspace(0.0, 0.1, count, dtype=np.float32),
-        intensity=np.full(count, 30, np.uint8),
-    )  # fmt: skip
+    offsets = np.linspace(0.0, 0.1, len(ranges))
+    return make_scan(round(600 * start_s) + 60, directions, ranges, offsets, 30)
 
 
 def test_tum_keeps_poses_to_nine_decimals(tmp_path: Path) -> None:
@@ -190,13 +185,10 @@ def _fly(recorder: Any, steps: int = 400) -> None:
         time_s = 0.005 * step
         here = np.array([2.0 * time_s, 0.0, 5.0])
         pulse = step % 20 == 0 and step > 0
-        obs = Observation(
-            tick=3 * step,
-            time_s=time_s,
-            scans=(_scan(time_s - 0.1, [[0, 0, 1]] * 50, [5.0] * 50),) if pulse else (),
-            images=(CameraImage(tick=3 * step, time_s=time_s, rgb=image),) if pulse else (),
-            rotor_speed_radps=np.full(4, 500.0),
-            battery_fraction=1.0,
+        scans = (_scan(time_s - 0.1, [[0, 0, 1]] * 50, [5.0] * 50),) if pulse else ()
+        images = (CameraImage(tick=3 * step, time_s=time_s, rgb=image),) if pulse else ()
+        obs = make_obs(
+            3 * step, time_s=time_s, scans=scans, images=images, rotor_speed_radps=np.full(4, 500.0)
         )
         chosen = {
             "costmap": half if step < 300 else costmap,

@@ -10,10 +10,11 @@ from touchdown.estimator.api import MapperParams
 from touchdown.experiments.external.synthetic_stream import synthetic_rig
 from touchdown.experiments.recordings.landing_site import LandingSite
 from touchdown.landing.api import LandingParams
-from touchdown.sim.api import LidarScan, Observation
+from touchdown.sim.api import LidarScan
 from touchdown.sim.frames import BODY_FROM_DOWNWARD_OPTICAL, Pose
 
-from support.landing_support import make_estimate
+from support.landing_support import make_estimate, make_obs
+from support.messages import make_scan
 
 HEIGHT_M = 15.0
 
@@ -28,17 +29,9 @@ def _mapped(site: LandingSite) -> None:
             beams = np.column_stack([rng.uniform(-0.9, 0.9, (8000, 2)), np.ones(8000)])
             ranges = (HEIGHT_M - 0.135) * np.linalg.norm(beams, axis=1)
             beams /= np.linalg.norm(beams, axis=1, keepdims=True)
-            scans = (LidarScan(
-                start_tick=tick - 60, end_tick=tick, start_time_s=(tick - 60) / 600.0,
-                end_time_s=tick / 600.0, directions=beams.astype(np.float32),
-                ranges=(ranges + rng.normal(0.0, 0.01, 8000)).astype(np.float32),
-                time_offsets=np.sort(rng.uniform(0.0, 0.1, 8000)).astype(np.float32),
-                intensity=np.full(8000, 40, np.uint8),
-            ),)  # fmt: skip
-        obs = Observation(
-            tick=tick, time_s=tick / 600.0, scans=scans, rotor_speed_radps=np.full(4, 400.0),
-            battery_fraction=1.0,
-        )  # fmt: skip
+            ranges += rng.normal(0.0, 0.01, 8000)
+            scans = (make_scan(tick, beams, ranges, np.sort(rng.uniform(0.0, 0.1, 8000))),)
+        obs = make_obs(tick, scans=scans, rotor_speed_radps=np.full(4, 400.0))
         site.take(obs, make_estimate(tick, pose))
 
 
