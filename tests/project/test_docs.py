@@ -3,11 +3,8 @@
 import contextlib
 import importlib.util
 import io
-import os
 import re
 import shlex
-import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
@@ -23,7 +20,9 @@ from touchdown.experiments.config.loading import load_config
 from touchdown.experiments.config.slots import SLOTS
 from touchdown.experiments.external.examination import RULES
 from touchdown.experiments.scene_tools.flyability import check_scene_file
+from touchdown.scenes.importers.mjcf import read_mjcf
 
+from support.command import lines_of, without_display
 from support.docs_support import (
     FOLDERS,
     PAGES,
@@ -202,8 +201,6 @@ def test_python_blocks_compile_and_toml_blocks_are_configurations(
 
 
 def test_the_smallest_place_is_a_place(tmp_path: Path) -> None:
-    from touchdown.scenes.importers.mjcf import read_mjcf
-
     file = tmp_path / "my_place.xml"
     file.write_text(blocks_of(ROOT / "docs" / "your-own-place.md", "xml")[0], encoding="utf-8")
     surfaces = read_mjcf(file).surfaces
@@ -245,11 +242,7 @@ def test_environments_do_what_the_page_says(number: int) -> None:
     promised = re.findall(r"^It prints `([^`]+)`", text_of("docs/environments.md"), re.MULTILINE)
     blocks = [block for block in blocks_of(page, "python") if "viewer" not in block]
     assert len(blocks) == len(promised) == 3
-    hidden = ("MUJOCO_GL", "DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET")
-    bare = {name: value for name, value in os.environ.items() if name not in hidden}
-    program = [sys.executable, "-c", blocks[number]]
-    printed = subprocess.run(program, env=bare, stdout=subprocess.PIPE, text=True, check=True)
-    assert printed.stdout.strip() == promised[number]
+    assert lines_of(blocks[number], env=without_display()) == [promised[number]]
 
 
 @pytest.mark.slow

@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 from PIL import Image
 from rasterio.windows import Window
 
-from touchdown.experiments.cli import main as cli
 from touchdown.scenes.importers import geotiff, pictures
 from touchdown.scenes.importers.dem import import_dem
 from touchdown.scenes.importers.geotiff import read_heights
 from touchdown.scenes.importers.pictures import opened_picture, read_rgb
 from touchdown.sim.typing import Array
 
+from support.command import Says
 from support.hostile_files import limited, pipe, png
 
 NORTH_UP = Affine(1.0, 0.0, 5000.0, 0.0, -1.0, 9000.0)
@@ -290,17 +290,15 @@ def test_of_a_large_geotiff_the_window_is_read(
     refused(tif, "uint16 values; convert it to 8-bit RGB", ortho=few)
 
 
-def test_a_whole_command_ends_in_one_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_whole_command_ends_in_one_line(tmp_path: Path, says: Says) -> None:
     wide(tmp_path / "wide.tif", SIDE, compress="deflate")
     (tmp_path / "bomb.png").write_bytes(png(30_000, 30_000))
     line = ("scenes", "import-dem", "wide.tif", "out")
     done = limited(*line, "--ortho", "bomb.png", folder=tmp_path)
     assert done.returncode == 2 and done.stderr.count("\n") == 1, done.stderr
     assert not (tmp_path / "out").exists()
-    assert cli.main(["scenes", "import-dem", "/vsicurl/http://127.0.0.1:9/x.tif", "out"]) == 2
-    assert capsys.readouterr().err.count("\n") == 1
+    far = "/vsicurl/http://127.0.0.1:9/x.tif"
+    assert says(2, "scenes", "import-dem", far, "out").err.count("\n") == 1
 
 
 @pytest.mark.slow

@@ -1,7 +1,6 @@
 """The OpenGL backend that is chosen before MuJoCo is loaded."""
 
 import os
-import subprocess
 import sys
 import warnings
 from types import ModuleType
@@ -10,16 +9,13 @@ import pytest
 
 from touchdown.sim import opengl
 
-HIDDEN = ("MUJOCO_GL", "DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET", "PYOPENGL_PLATFORM")
+from support.command import DISPLAY_VARIABLES, python, without_display
 
 
 def chosen(**environment: str) -> str:
     """What ``import touchdown`` leaves in the variable."""
-    clean = {key: value for key, value in os.environ.items() if key not in HIDDEN}
     code = "import touchdown, os; print(os.environ.get('MUJOCO_GL'))"
-    return subprocess.check_output(
-        [sys.executable, "-c", code], env=clean | environment, text=True
-    ).strip()
+    return python("-c", code, env=without_display(**environment), check=True).stdout.strip()
 
 
 def test_importing_chooses_a_backend_that_needs_no_display() -> None:
@@ -32,7 +28,7 @@ def test_importing_chooses_a_backend_that_needs_no_display() -> None:
 def test_what_is_chosen_is_not_asked_for_and_mujoco_before_is_one_line(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    for name in HIDDEN:
+    for name in DISPLAY_VARIABLES:
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setenv("PYOPENGL_PLATFORM", "osmesa")
     monkeypatch.setattr(opengl, "_chosen", "")

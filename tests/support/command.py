@@ -1,5 +1,6 @@
 """The command line in this process, and programs in another."""
 
+import os
 import subprocess
 import sys
 from collections.abc import Callable
@@ -12,10 +13,24 @@ Says = Callable[..., Any]
 """of the fixture ``says``: called with an exit code and arguments it returns ``out`` and ``err``"""
 
 
-def lines_of(script: str) -> list[str]:
+def python(*arguments: str, **options: Any) -> subprocess.CompletedProcess[str]:
+    """A Python program in a process of its own; ``options`` are those of `subprocess.run`."""
+    usual: dict[str, Any] = {"cwd": Path(__file__).parents[2], "timeout": 600, "check": False}
+    return subprocess.run(
+        [sys.executable, *arguments], text=True, capture_output=True, **(usual | options)
+    )
+
+
+def lines_of(script: str, **options: Any) -> list[str]:
     """What a Python program prints that must succeed."""
-    done = subprocess.run(
-        [sys.executable, "-c", script],
-        cwd=Path(__file__).parents[2], capture_output=True, text=True, check=True,
-    )  # fmt: skip
-    return done.stdout.splitlines()
+    return python("-c", script, check=True, **options).stdout.splitlines()
+
+
+DISPLAY_VARIABLES = (
+    "MUJOCO_GL", "PYOPENGL_PLATFORM", "DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET",
+)  # fmt: skip
+
+
+def without_display(**more: str) -> dict[str, str]:
+    """The variables of this process but those that lead to a display or choose a backend."""
+    return {k: v for k, v in os.environ.items() if k not in DISPLAY_VARIABLES} | more

@@ -4,9 +4,10 @@ import os
 import resource
 import struct
 import subprocess
-import sys
 import zlib
 from pathlib import Path
+
+from support.command import python
 
 MEMORY_BYTES = 4 << 30
 LIMIT_S = 600.0
@@ -51,9 +52,8 @@ def pipe(path: Path) -> Path:
 
 def limited(*arguments: str, folder: Path) -> subprocess.CompletedProcess[str]:
     """A command in a process with 4 GiB of data and `LIMIT_S`."""
-    return subprocess.run(
-        [sys.executable, "-m", "touchdown", *arguments], cwd=folder, capture_output=True, text=True,
-        timeout=LIMIT_S, check=False,
+    return python(
+        "-m", "touchdown", *arguments, cwd=folder, timeout=LIMIT_S,
         preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_DATA, (MEMORY_BYTES, MEMORY_BYTES)),
         env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
     )  # fmt: skip

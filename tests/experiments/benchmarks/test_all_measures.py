@@ -8,7 +8,6 @@ import pytest
 
 from touchdown.experiments.benchmarks import all_measures
 from touchdown.experiments.benchmarks.all_measures import COMMANDS, MEASURES
-from touchdown.experiments.cli import main as cli
 
 from support.command import Says
 
@@ -39,20 +38,18 @@ def checkout(folder: Path, log: Path) -> Path:
     return folder
 
 
-def test_two_checkouts_take_turns(
-    tmp_path: Path, says: Says, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_two_checkouts_take_turns(tmp_path: Path, says: Says) -> None:
     log = tmp_path / "log"
     trees = [checkout(tmp_path / "a", log), checkout(tmp_path / "b", log)]
     second = trees[1] / "src" / "touchdown" / "__main__.py"
     second.write_text(second.read_text().replace('sim_s": 0.5', 'sim_s": 0.25'))
-    assert cli.main(["bench", "compare", *map(str, trees), "--rounds", "2", "--json"]) == 0
+    printed = says(0, "bench", "compare", *trees, "--rounds", "2", "--json").out
     assert log.read_text().split() == ["a", "b"] * 2 * len(COMMANDS)
-    found = json.loads(capsys.readouterr().out)
+    found = json.loads(printed)
     assert list(found) == TITLES and found.pop("memory of a landing")["values"][0] > 5.0
     assert [one["values"][0] for one in found.values()] == pytest.approx(EXPECTED)
     assert found["landing"]["values"] == [0.5, 0.25] and found["landing"]["ratio"] == 0.5
-    words = says(0, "bench", "compare", *map(str, trees)).out.splitlines()[0].split()
+    words = says(0, "bench", "compare", *trees).out.splitlines()[0].split()
     assert " ".join(words) == "landing 0.5 0.25 core-s per s x 0.50"
 
 

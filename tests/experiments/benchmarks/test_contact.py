@@ -10,9 +10,10 @@ import pytest
 from touchdown.experiments.benchmarks.contact import tipping, trial
 from touchdown.experiments.benchmarks.contact.terrain import Terrain, feet_xy, terrain_scene
 from touchdown.experiments.benchmarks.contact.trial import Conditions, Touch, Trial, fly_trial
-from touchdown.experiments.cli.main import main
 from touchdown.experiments.config.schema import Config
 from touchdown.scenes.truth.static_surface import cast_points
+
+from support.command import Says
 
 
 @pytest.fixture(scope="module")
@@ -134,7 +135,7 @@ def test_a_trial_does_not_depend_on_how_many_there_are(config: Config) -> None:
 
 
 def test_the_command_writes_figures_and_maps(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, says: Says
 ) -> None:
     found = [touch(s, "slides" if s > 10 else "") for s in tipping.SLOPES_DEG]
     given = iter([*found, *(touch(h, "", kind="step") for h in tipping.HEIGHTS_M[1:])])
@@ -142,11 +143,9 @@ def test_the_command_writes_figures_and_maps(
     monkeypatch.setattr(
         tipping, "fly_trial", lambda one: replace(next(given), conditions=one.conditions)
     )
-    words = ["bench", "touchdown", "--contacts", "1", "--out", str(tmp_path), "--quiet"]
-    assert main([*words, "--friction", "0.5", "0.9"]) == 0
-    assert "step under 1 leg" in capsys.readouterr().out
+    words = ["bench", "touchdown", "--contacts", "1", "--out", tmp_path, "--quiet"]
+    assert "step under 1 leg" in says(0, *words, "--friction", "0.5", "0.9").out
     assert {file.name for file in tmp_path.iterdir()} == {"touchdown.json", "touchdown.svg"}
-    assert main([*words, "--friction", "0.9", "0.5"]) == 2
-    assert "give 0 <= LOW <= HIGH" in capsys.readouterr().err
-    assert main([*words, "--set", "estimator=livo"]) == 2
-    assert "the bench sets 'estimator' itself" in capsys.readouterr().err
+    assert "give 0 <= LOW <= HIGH" in says(2, *words, "--friction", "0.9", "0.5").err
+    itself = says(2, *words, "--set", "estimator=livo").err
+    assert "the bench sets 'estimator' itself" in itself

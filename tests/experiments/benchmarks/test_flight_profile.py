@@ -11,7 +11,8 @@ import pytest
 from touchdown.experiments.benchmarks import flight_profile
 from touchdown.experiments.benchmarks.flight_profile import STAGES, StageProfile, found
 from touchdown.experiments.benchmarks.loop import compiled_before
-from touchdown.experiments.cli import main as cli
+
+from support.command import Says
 
 
 def test_a_stage_has_its_time_without_that_of_the_stages_within(
@@ -46,7 +47,7 @@ def test_every_stage_is_a_function_and_is_put_back() -> None:
 
 
 def test_the_flame_graph_is_of_the_same_flight(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, says: Says
 ) -> None:
     """A py-spy that writes its command in place of a flame graph, and prints stages."""
     spy = tmp_path / "py-spy"
@@ -59,8 +60,8 @@ def test_the_flame_graph_is_of_the_same_flight(
     spy.chmod(0o755)
     monkeypatch.setattr("shutil.which", lambda *_name, **_path: str(spy))
     out = tmp_path / "out"
-    code = cli.main(["bench", "profile", "lake", "--seed", "7", "--full", "--out", str(out)])
-    assert code == 0 and json.loads((out / "stages.json").read_text()) == figures
+    says(0, "bench", "profile", "lake", "--seed", "7", "--full", "--out", out)
+    assert json.loads((out / "stages.json").read_text()) == figures
     command = (out / "flame.svg").read_text()
     assert (
         "touchdown bench profile lake --estimator livo --profile field --seed 7 --full" in command

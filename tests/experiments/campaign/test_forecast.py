@@ -8,9 +8,9 @@ import pytest
 
 from touchdown.experiments.campaign.forecast import CORE_SECONDS, PROFILE_FACTOR, forecast
 from touchdown.experiments.campaign.results_table import ROW_FILE, RUNS, write_table
-from touchdown.experiments.cli.main import main
 
 from support.campaign_flights import axes, make_plan
+from support.command import Says
 
 FILE = """
 name = "cost"
@@ -25,16 +25,15 @@ survey.duration_s = %s
 """
 
 
-def dry_run(file: Path, capsys: pytest.CaptureFixture[str], *options: str) -> Any:
-    assert main(["campaign", str(file), "--dry-run", "--json", *options]) == 0
-    return json.loads(capsys.readouterr().out)
+def dry_run(file: Path, says: Says, *options: str) -> Any:
+    return json.loads(says(0, "campaign", file, "--dry-run", "--json", *options).out)
 
 
-def test_a_campaign_is_not_flown(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_campaign_is_not_flown(tmp_path: Path, says: Says) -> None:
     """Eight landings of `livo` in `field`, at the stated cost of each."""
     file, out = tmp_path / "cost.toml", tmp_path / "out"
     file.write_text(FILE % "36.0")
-    found = dry_run(file, capsys, "--out", str(out), "--jobs", "1")
+    found = dry_run(file, says, "--out", str(out), "--jobs", "1")
     each = CORE_SECONDS["land", "livo"] * PROFILE_FACTOR["field"]
     assert (found["flights"], found["finished"], found["jobs"]) == (8, 0, 1)
     assert found["core_hours"] == pytest.approx(8 * each / 3600.0)
@@ -43,9 +42,9 @@ def test_a_campaign_is_not_flown(tmp_path: Path, capsys: pytest.CaptureFixture[s
         ("field, livo", 4, False), ("field, livo, fog@0", 4, False)
     ]  # fmt: skip
     assert found["undemanded"] == ["fog@0"] and not out.exists()
-    assert dry_run(file, capsys, "--shard", "1/2")["flights"] < 8
+    assert dry_run(file, says, "--shard", "1/2")["flights"] < 8
     file.write_text(FILE % "117.0")  # 162 s of flight instead of 81
-    assert dry_run(file, capsys, "--jobs", "1")["core_hours"] == pytest.approx(
+    assert dry_run(file, says, "--jobs", "1")["core_hours"] == pytest.approx(
         2.0 * found["core_hours"]
     )
 

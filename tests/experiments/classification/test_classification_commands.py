@@ -110,9 +110,7 @@ def test_what_a_miss_costs_is_decided_at_the_end(
     assert "miss cost of 'lava'" in says(2, *whole, "--miss-cost", "lava=2").err
 
 
-def test_evaluating_by_command(
-    trained: Path, folder: Path, says: Says, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_evaluating_by_command(trained: Path, folder: Path, says: Says) -> None:
     arguments = ["evaluate", str(trained), "--data", str(folder), "--quiet", "--json"]
     report = json.loads(says(0, *arguments).out)
     assert report["pictures"] == sum(map(sum, report["confusion"]))
@@ -120,8 +118,7 @@ def test_evaluating_by_command(
     assert report["rom_mb"] == trained.stat().st_size / 1e6
     assert report["peak_ram_mb"] > 20.0 and report["image_ms"] > 0.0
     assert list(report["by_source"]) == ["d_land"]
-    assert cli.main(arguments[:-1]) == 0
-    printed = capsys.readouterr().out
+    printed = says(0, *arguments[:-1]).out
     assert "true class by row, predicted class by column" in printed
     assert " ms an image on one thread\n" in printed
 
@@ -135,9 +132,7 @@ def test_weight_undoes_what_a_network_claims_too_much() -> None:
     assert evaluate._summary(scores, labels, facts)["weight"] == pytest.approx(0.5, rel=0.01)
 
 
-def test_rendered_pictures_are_scored_by_scene(
-    trained: Path, tmp_path: Path, says: Says, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_rendered_pictures_are_scored_by_scene(trained: Path, tmp_path: Path, says: Says) -> None:
     rows = [("lake", 4, 15.0), ("lake", 9, 14.9), ("pools", 0, 20.0), ("flat", 4, 40.0)]
     lines = [",".join(COLUMNS)]
     for number, (scene, seed, height) in enumerate(rows):
@@ -149,12 +144,10 @@ def test_rendered_pictures_are_scored_by_scene(
     assert {name: row["pictures"] for name, row in report["by_scene"].items()} == {
         "flat": 1, "lake": 2, "pools": 1, "scenes trained on": 3, "scenes never trained on": 1
     }  # fmt: skip
-    assert cli.main(arguments) == 0 and "scenes never trained on" in capsys.readouterr().out
+    assert "scenes never trained on" in says(0, *arguments).out
 
 
-def test_classifying_by_command(
-    trained: Path, tmp_path: Path, says: Says, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_classifying_by_command(trained: Path, tmp_path: Path, says: Says) -> None:
     photograph = tmp_path / "photograph.png"
     cv2.imwrite(str(photograph), np.full((60, 90, 3), 90, np.uint8))
     out = tmp_path / "classes"
@@ -162,14 +155,13 @@ def test_classifying_by_command(
     (row,) = json.loads(says(0, *arguments, "--json", "--quiet").out)["pictures"]
     assert sum(row["shares"].values()) == pytest.approx(1.0) and row["window_px"] == 32
     assert read_picture(out / "photograph-classes.png").shape[1] == 90
-    assert cli.main([*arguments, "--window", "64"]) == 2
-    assert "64 pixels do not fit into an image of 90 x 60" in capsys.readouterr().err
+    refused = says(2, *arguments, "--window", "64").err
+    assert "64 pixels do not fit into an image of 90 x 60" in refused
 
 
 def test_commands_say_what_is_missing(
-    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
-    says: Says,
-) -> None:  # fmt: skip
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, says: Says
+) -> None:
     """Without torch the other commands work, and this one says what to install."""
     for name in [
         n for n in sys.modules if n.startswith("touchdown.landing.classification.learning")
@@ -195,9 +187,8 @@ def test_commands_say_what_is_missing(
     (["--teacher", "none.onnx"], "'none.onnx' does not exist; name a network"),
 ])  # fmt: skip
 def test_training_refuses(
-    arguments: list[str], message: str, torch: Any, folder: Path, tmp_path: Path,
-    says: Says,
-) -> None:  # fmt: skip
+    arguments: list[str], message: str, torch: Any, folder: Path, tmp_path: Path, says: Says
+) -> None:
     pytest.importorskip("onnx")
     out = tmp_path / "out"
     command = ["train", "--out", str(out), "--data", str(folder), "--quiet", *arguments]
@@ -235,9 +226,7 @@ def images(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_noisy_images(tmp_path_factory.mktemp("pictures"), 60, 3)
 
 
-def test_two_networks_classify_together(
-    images: Path, tmp_path: Path, says: Says, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_two_networks_classify_together(images: Path, tmp_path: Path, says: Says) -> None:
     seeing = write_colour_network(tmp_path / "seeing.onnx", miss_costs=(("water", 3.0),))
     blind = write_colour_network(tmp_path / "blind.onnx", per_colour=BLIND)
     out = tmp_path / "both.onnx"
@@ -254,8 +243,8 @@ def test_two_networks_classify_together(
     assert found["network"] == "by colour+by colour" and found["top1"] == 1.0
     assert found["decision"]["unsafe_taken_for_safe"] == 0
     given = [*command, "--weight", "0.5", "--weight", "0.5", "--miss-cost", "road=2"]
-    assert cli.main([*given, "--quiet"]) == 0
-    assert "seeing.onnx: weight 0.500, validation top-1 1.0000" in capsys.readouterr().out
+    printed = says(0, *given, "--quiet").out
+    assert "seeing.onnx: weight 0.500, validation top-1 1.0000" in printed
     assert OnnxClassifier(out).facts.miss_costs == (("road", 2.0),)
 
 

@@ -18,7 +18,7 @@ from touchdown.experiments.io.results import RunResult
 from touchdown.experiments.io.run_directory import run_directory
 
 from support.campaign_fakes import fake_result
-from support.command import RunCli, Says
+from support.command import RunCli, Says, python
 
 ROOT = Path(__file__).parents[3]
 
@@ -56,9 +56,8 @@ def _raise(error: BaseException) -> Callable[[Path], None]:
     (errno.ENAMETOOLONG, "give a shorter name"), (errno.ENOTDIR, "a part of that path is a file"),
 ])  # fmt: skip
 def test_a_disk_error_in_flight_is_one_line_and_leaves_the_earlier_run(
-    number: int, fragment: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
-    run_cli: RunCli,
-) -> None:  # fmt: skip
+    number: int, fragment: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, run_cli: RunCli
+) -> None:
     failure = _raise(OSError(number, os.strerror(number), "/a/.partial-1/truth.tum"))
     monkeypatch.setattr("touchdown.experiments.flight.run.fly", _flight(failure))
     out = tmp_path / "mit ümlaut" / "run"
@@ -169,5 +168,5 @@ def test_what_libraries_log_is_not_printed() -> None:
         "main(['scenes', 'list'])\n"
         "logging.getLogger('PIL').error('More samples per pixel than can be decoded')"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    done = python("-c", code, check=True)
     assert "crossroad" in done.stdout and not done.stderr

@@ -7,6 +7,7 @@ import pytest
 from click.shell_completion import ShellComplete
 
 from touchdown.experiments.cli import main as cli
+from touchdown.experiments.cli.console import print_result
 from touchdown.experiments.cli.fly import ESTIMATORS
 from touchdown.experiments.config.schema import Config
 from touchdown.experiments.flight import wiring
@@ -110,9 +111,8 @@ def _changed(result: RunResult, **values: Any) -> RunResult:
     (_result("COMPLETED"), 0),
 ])  # fmt: skip
 def test_exit_code_follows_the_outcome(
-    result: RunResult, code: int, monkeypatch: pytest.MonkeyPatch,
-    run_cli: RunCli,
-) -> None:  # fmt: skip
+    result: RunResult, code: int, monkeypatch: pytest.MonkeyPatch, run_cli: RunCli
+) -> None:
     def fly(_config: Any, _out: Path, progress: Any, _live: Any) -> RunResult:
         progress(0.0, "TAKEOFF", "climbing")
         return result
@@ -153,8 +153,6 @@ def test_a_sensor_log_is_not_replaced_by_a_run_without(
 def test_risky_ground_without_ground_classification_is_remarked_on(
     kind: str, classifier: str, remark: bool, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from touchdown.experiments.cli.console import print_result
-
     result = _result("LANDED", class_true=kind, safe_geometry=True)
     print_result(_changed(result, classifier=classifier), None)
     out = capsys.readouterr().out
@@ -165,8 +163,6 @@ def test_risky_ground_without_ground_classification_is_remarked_on(
 def test_the_first_three_candidates_and_the_reason_are_printed(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    from touchdown.experiments.cli.console import print_result
-
     sites = [
         {"rank": rank, "accepted": True, "rule": "lower_value", "reason": "", "value": 1.0 / rank,
          "position_m": [10.0 * rank, -5.0, 0.0], "slope_deg": 0.3, "clearance_m": None,

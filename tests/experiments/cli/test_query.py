@@ -35,26 +35,23 @@ def runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 @pytest.fixture
-def ask(runs: Path, capsys: pytest.CaptureFixture[str]) -> Query:
+def ask(runs: Path, says: Says) -> Query:
     """Rows of a query as JSON."""
 
     def rows(sql: str) -> list[dict[str, Any]]:
-        assert cli.main(["query", str(runs), sql, "--json"]) == 0, capsys.readouterr().err
-        found: list[dict[str, Any]] = json.loads(
-            capsys.readouterr().out, parse_constant=pytest.fail
-        )["rows"]
+        printed = says(0, "query", runs, sql, "--json").out
+        found: list[dict[str, Any]] = json.loads(printed, parse_constant=pytest.fail)["rows"]
         return found
 
     return rows
 
 
 @pytest.fixture
-def refused(runs: Path, capsys: pytest.CaptureFixture[str]) -> Query:
+def refused(runs: Path, says: Says) -> Query:
     """The one line of a refused query."""
 
     def line(sql: str, *options: str) -> str:
-        assert cli.main(["query", str(runs), sql, *options]) == 2
-        captured = capsys.readouterr()
+        captured = says(2, "query", runs, sql, *options)
         assert captured.out == "" and captured.err.count("\n") == 1
         assert captured.err.startswith(f"touchdown: error: query of '{runs}': ") or options
         assert "Error:" not in captured.err and "Exception" not in captured.err
@@ -122,10 +119,9 @@ def test_a_wrong_query_is_one_line_with_a_remedy(refused: Query, sql: str, words
     assert words in line and line.strip().isprintable()
 
 
-def test_columns_of_one_name_are_no_json_object(refused: Query, capsys: Any, runs: Path) -> None:
+def test_columns_of_one_name_are_no_json_object(refused: Query, says: Says, runs: Path) -> None:
     assert "two columns are called 'a'" in refused("select 1 a, 2 a", "--json")
-    assert cli.main(["query", str(runs), "select 1 a, 2 a", "--csv"]) == 0
-    assert capsys.readouterr().out == "a,a\n1,2\n"
+    assert says(0, "query", runs, "select 1 a, 2 a", "--csv").out == "a,a\n1,2\n"
 
 
 def test_values_of_any_type_are_json(ask: Query) -> None:
@@ -218,15 +214,15 @@ def campaign(runs: Path) -> Path:
 
 
 def test_a_read_only_campaign_is_read_without_a_cache(
-    campaign: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    campaign: Path, monkeypatch: pytest.MonkeyPatch, says: Says
 ) -> None:
     def refuse(*_arguments: object, **_options: object) -> None:
         raise OSError(30, "Read-only file system", str(campaign / "results.parquet"))
 
     before = _fingerprint(campaign)
     monkeypatch.setattr(results_table, "write_table", refuse)
-    assert cli.main(["query", str(campaign), "select count(*) as n from runs", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["rows"] == [{"n": 2}]
+    printed = says(0, "query", campaign, "select count(*) as n from runs", "--json").out
+    assert json.loads(printed)["rows"] == [{"n": 2}]
     assert _fingerprint(campaign) == before
     with pytest.raises(UsageError, match=r"results.parquet' cannot be written: Read-only"):
         refresh(campaign, must_write=True)

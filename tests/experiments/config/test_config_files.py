@@ -127,9 +127,8 @@ LARGEST = 2**63 - 1
     ("bench", "loop", "--seed", str(2**63)),
 ], ids=" ".join)  # fmt: skip
 def test_a_seed_that_no_table_holds_is_refused_where_it_enters(
-    arguments: tuple[str, ...], says: Says,
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
-) -> None:  # fmt: skip
+    arguments: tuple[str, ...], says: Says, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)
     error = says(2, *list(arguments)).err
     assert error.count("\n") == 1 and "seed" in error

@@ -65,18 +65,16 @@ def test_results_do_not_bring_code(unpacked: Path, says: Says, arguments: tuple[
 
 
 @pytest.mark.parametrize("arguments", COMMANDS, ids=" ".join)
-def test_allow_code_imports_it(
-    unpacked: Path, capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...]
-) -> None:
-    assert cli.main([*arguments, "--allow-code"]) == 2
-    assert "the end of the import" in capsys.readouterr().err and (unpacked / "imported").exists()
+def test_allow_code_imports_it(unpacked: Path, says: Says, arguments: tuple[str, ...]) -> None:
+    assert "the end of the import" in says(2, *arguments, "--allow-code").err
+    assert (unpacked / "imported").exists()
 
 
 @pytest.mark.parametrize("by", [("--estimator", NAME), ("--set", f"estimator={NAME}")])
 def test_an_estimator_of_the_command_line_is_imported(
-    unpacked: Path, capsys: pytest.CaptureFixture[str], by: tuple[str, ...]
+    unpacked: Path, says: Says, by: tuple[str, ...]
 ) -> None:
-    assert cli.main([*COMMANDS[0], *by]) == 2 and "the end of the import" in capsys.readouterr().err
+    assert "the end of the import" in says(2, *COMMANDS[0], *by).err
 
 
 def test_another_estimator_does_without_the_code(unpacked: Path) -> None:
@@ -86,15 +84,15 @@ def test_another_estimator_does_without_the_code(unpacked: Path) -> None:
     assert not (unpacked / "imported").exists()
 
 
-def test_a_file_of_the_user_names_code(unpacked: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_file_of_the_user_names_code(unpacked: Path, says: Says) -> None:
     own = unpacked / "own"
     own.mkdir()
     (own / "flight.toml").write_text(f'estimator = "{NAME}"\n')
     (own / "many.toml").write_text(CAMPAIGN)
     assert load_config(own / "flight.toml").estimator == NAME
     assert {run.values["estimator"] for run in load_plan(own / "many.toml").runs} == {NAME}
-    assert cli.main(["fly", "flat", "--config", "own/flight.toml", "--out", "out"]) == 2
-    assert "the end of the import" in capsys.readouterr().err
+    said = says(2, "fly", "flat", "--config", "own/flight.toml", "--out", "out")
+    assert "the end of the import" in said.err
 
 
 @pytest.mark.parametrize("key", ["estimator", "scene"])

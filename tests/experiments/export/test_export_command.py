@@ -78,9 +78,8 @@ def test_default_output_is_beside_the_run_and_is_replaced(run: Path, run_cli: Ru
     (["{broken}", "--format", "ply"], "no map"),
 ])  # fmt: skip
 def test_invalid_input_is_one_line_and_leaves_no_files(
-    run: Path, tmp_path: Path, run_cli: RunCli, arguments: list[str],
-    message: str,
-) -> None:  # fmt: skip
+    run: Path, tmp_path: Path, run_cli: RunCli, arguments: list[str], message: str
+) -> None:
     (tmp_path / "note.txt").write_text("mine")
     (tmp_path / "note.tum").write_text("a line of exactly eight words is no trajectory")
     blind, broken, cut = (tmp_path / name for name in ("blind", "broken", "cut"))

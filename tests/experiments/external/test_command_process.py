@@ -10,6 +10,8 @@ import pytest
 
 from touchdown.experiments.external.processes import runs_external_code
 
+from support.command import python, without_display
+
 PROGRAM = """
 import os, signal, sys, time
 from touchdown.experiments.external import processes
@@ -45,9 +47,7 @@ ENDINGS = {
 @pytest.mark.parametrize("code", ENDINGS)
 def test_a_process_that_ends_in_the_middle_is_a_failure(code: str) -> None:
     expected, words = ENDINGS[code]
-    done = subprocess.run(
-        [sys.executable, "-c", PROGRAM, code], capture_output=True, text=True, timeout=500
-    )
+    done = python("-c", PROGRAM, code)
     assert done.returncode == expected and words in done.stderr
 
 
@@ -66,8 +66,7 @@ def test_ctrl_c_ends_what_does_not_listen(code: str, output: str) -> None:
 
 def test_the_command_that_checks_estimators_says_that_its_process_has_ended(tmp_path: Path) -> None:
     (tmp_path / "leaver.py").write_text("import os\ndef build(params, rig): os._exit(0)\n")
-    command = [sys.executable, "-m", "touchdown", "check-estimator", "leaver:build"]
-    done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, timeout=500)
+    done = python("-m", "touchdown", "check-estimator", "leaver:build", cwd=tmp_path)
     assert (done.returncode, done.stdout) == (1, "")
     assert done.stderr.startswith("touchdown: error: ") and done.stderr.count("\n") == 1
     assert "ended in the middle (exit code 0)" in done.stderr
@@ -85,11 +84,8 @@ def test_which_commands_run_external_code(words: str, external: bool) -> None:
 
 
 def test_a_machine_that_cannot_render_is_one_line(tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "touchdown", "fly", "flat", "--out", str(tmp_path / "out")]
-    done = subprocess.run(
-        command, capture_output=True, text=True, timeout=500,
-        env={**os.environ, "MUJOCO_GL": "bogus"},
-    )  # fmt: skip
+    command = ("-m", "touchdown", "fly", "flat", "--out", str(tmp_path / "out"))
+    done = python(*command, env={**os.environ, "MUJOCO_GL": "bogus"})
     assert (done.returncode, done.stderr.count("\n")) == (2, 1), done.stderr
     assert "bogus" in done.stderr and "set MUJOCO_GL to egl, osmesa or glfw" in done.stderr
 
@@ -100,10 +96,6 @@ def test_a_backend_that_fails_says_nothing_beside_the_error() -> None:
         "try: gl_context(8, 8)\n"
         "except RuntimeError as error: print(error)\n"
     )
-    environment = {k: v for k, v in os.environ.items() if not k.endswith("DISPLAY")}
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, timeout=500,
-        env={**environment, "MUJOCO_GL": "glfw"},
-    )  # fmt: skip
+    done = python("-c", code, env=without_display(MUJOCO_GL="glfw"))
     assert done.stdout.startswith("no offscreen rendering on this machine (glfw: ")
     assert (done.returncode, done.stderr) == (0, "")

@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 
 from touchdown.estimator.api import Estimate
-from touchdown.experiments.cli import main as cli
 from touchdown.experiments.external.conformance import Violation, check_estimator
 from touchdown.experiments.external.examination import RULES
 from touchdown.experiments.external.synthetic_stream import SyntheticStream, synthetic_rig
@@ -228,11 +227,11 @@ def test_the_example_of_the_page_keeps_the_contract_and_its_way() -> None:
 
 
 def test_the_command_passes_the_example(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, says: Says
 ) -> None:
     _module(tmp_path, monkeypatch, "ground_flow_example", _example())
-    assert cli.main(["check-estimator", "ground_flow_example:build", "--seconds", "1"]) == 0
-    moved, latency, verdict = capsys.readouterr().out.splitlines()
+    printed = says(0, "check-estimator", "ground_flow_example:build", "--seconds", "1").out
+    moved, latency, verdict = printed.splitlines()
     assert " beside 0.07 m of the vehicle" in moved and " ms a call, " in latency
     assert verdict == "estimator ground_flow_example:build: conforms"
 
@@ -246,4 +245,4 @@ def test_the_command_tells_what_is_wrong(
     found = json.loads(says(1, *command).out)
     assert [row["rule"] for row in found["violations"]] == ["time"]
     assert "did you mean 'livo'" in says(2, "check-estimator", "livvo").err
-    assert cli.main(["check-estimator", "livo", "--seconds", "-1"]) == 2
+    says(2, "check-estimator", "livo", "--seconds", "-1")

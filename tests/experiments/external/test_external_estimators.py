@@ -108,9 +108,8 @@ def test_a_module_of_the_current_directory_is_found_and_hides_nothing(
     ("{package}/vio.py:build", STILL, ["MODULE:FUNCTION, such as my_lab.vio:build"]),
 ])  # fmt: skip
 def test_a_name_that_leads_nowhere_is_one_line_before_any_flight(
-    lab: Callable[..., str], says: Says, name: str, text: str,
-    words: list[str],
-) -> None:  # fmt: skip
+    lab: Callable[..., str], says: Says, name: str, text: str, words: list[str]
+) -> None:
     package = lab(text).partition(".")[0]
     name = name.format(package=package)
     Path("plan.toml").write_text(axes(scene=["flat"], estimator=["gps", name], seeds="0-1"))

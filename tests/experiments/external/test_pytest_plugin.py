@@ -1,8 +1,6 @@
 """The pytest plugin, run in a pytest of its own; and the page that explains it."""
 
 import os
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -10,6 +8,7 @@ import pytest
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.pytest_plugin import assert_position_error, fly_all
 
+from support.command import lines_of
 from support.docs_support import blocks_of
 
 pytest_plugins = ["pytester"]
@@ -83,11 +82,7 @@ def test_the_plugin_needs_nothing_but_pytest() -> None:
         "import sys, touchdown.experiments.pytest_plugin; "
         "print([m for m in ('numpy', 'mujoco', 'scipy', 'cv2') if m in sys.modules])"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, check=True,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-    )  # fmt: skip
-    assert done.stdout.strip() == "[]"
+    assert lines_of(script, env={**os.environ, "PYTHONPATH": str(ROOT)}) == ["[]"]
 
 
 def test_the_example_of_the_page_passes_as_it_is_printed(pytester: pytest.Pytester) -> None:

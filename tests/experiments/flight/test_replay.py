@@ -1,8 +1,6 @@
 """Replays: bit-equal, without the simulator, judged on the run's truth, refused in one line."""
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -17,10 +15,9 @@ from touchdown.experiments.io.sensor_log_reader import SensorLogReader
 from touchdown.experiments.io.tum import read_tum
 from touchdown.sim.api import Observation, SensorNeeds
 
-from support.command import RunCli
+from support.command import RunCli, python
 from support.replay_support import LIFT_OFF_S, make_run
 
-ROOT = Path(__file__).parents[3]
 STILL = '''
 from support.flight_fakes import make_estimate
 from touchdown.sim.api import SensorNeeds
@@ -73,9 +70,7 @@ def test_a_replay_needs_no_simulator(run: Path, tmp_path: Path) -> None:
         f"sys.exit(main(['fly', '--replay', {str(run)!r}, '--out', {str(tmp_path / 'out')!r},"
         " '--quiet']))"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, check=False
-    )
+    done = python("-c", script)
     assert done.returncode == 0, done.stderr
     assert "judged at 50 Hz" in done.stdout
 

@@ -57,9 +57,8 @@ REFUSED = {
 @pytest.mark.parametrize("command", COMMANDS, ids=lambda c: f"{c[0]}{len(c)}")
 @pytest.mark.parametrize(("change", "words"), REFUSED.values(), ids=REFUSED)
 def test_refused_in_one_line(
-    command: tuple[str, ...], change: Callable[[Path], None], words: str,
-    tmp_path: Path, says: Says,
-) -> None:  # fmt: skip
+    command: tuple[str, ...], change: Callable[[Path], None], words: str, tmp_path: Path, says: Says
+) -> None:
     change(write_run(tmp_path / "runs", "flat", "m", 0))
     given = [part.format(runs=tmp_path / "runs", out=tmp_path / "out") for part in command]
     error = says(2, *given).err
@@ -69,13 +68,12 @@ def test_refused_in_one_line(
 
 @pytest.mark.parametrize("command", COMMANDS[1:], ids=lambda c: c[0])
 def test_a_directory_whose_name_is_no_text(
-    command: tuple[str, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    command: tuple[str, ...], tmp_path: Path, says: Says
 ) -> None:
     _renamed(write_run(tmp_path / "runs", "flat", "m", 0))
     given = [part.format(runs=tmp_path / "runs", out=tmp_path / "out") for part in command]
-    assert cli.main(given) == 2
     line = f"the name of '{tmp_path}/runs/a\\udcff' is no UTF-8 text; rename that directory"
-    assert capsys.readouterr().err == f"touchdown: error: {line}\n"
+    assert says(2, *given).err == f"touchdown: error: {line}\n"
 
 
 @pytest.mark.parametrize("command", COMMANDS, ids=lambda c: f"{c[0]}{len(c)}")

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from touchdown.experiments.cli import main as cli
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.reporting.regression.baseline import (
     baseline_of,
@@ -258,35 +257,29 @@ def write_runs(directory: Path, factor: float = 1.0, seeds: range = range(10)) -
 def test_exit_codes(tmp_path: Path, says: Says) -> None:
     write_runs(tmp_path / "old")
     write_runs(tmp_path / "new", 1.3)
-    base = str(tmp_path / "sub" / "base.json")
-    old, new = str(tmp_path / "old"), str(tmp_path / "new")
-    assert cli.main(["regress", old, "--baseline", base, "--update"]) == 0
-    written = Path(base).read_bytes()
-    assert cli.main(["regress", old, "--baseline", base]) == 0
+    base, old, new = (tmp_path / name for name in ("sub/base.json", "old", "new"))
+    says(0, "regress", old, "--baseline", base, "--update")
+    written = base.read_bytes()
+    says(0, "regress", old, "--baseline", base)
     assert "WORSE  lake, livo" in says(1, "regress", new, "--baseline", base).out
     tree = json.loads(says(1, "regress", new, "--baseline", base, "--json").out)
     assert tree["regressed"] and tree["cells"][0]["ratio"] == pytest.approx(1.3)
     assert tree["cells"][0]["detectable"] > 1.0
-    assert cli.main(["regress", old, "--baseline", base, "--update"]) == 0
-    assert Path(base).read_bytes() == written, "the same flights, the same file"
-    assert [p.name for p in Path(base).parent.iterdir()] == ["base.json"]
+    says(0, "regress", old, "--baseline", base, "--update")
+    assert base.read_bytes() == written, "the same flights, the same file"
+    assert [p.name for p in base.parent.iterdir()] == ["base.json"]
 
 
-def test_exit_codes_where_nothing_could_be_found(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    base = str(tmp_path / "base.json")
+def test_exit_codes_where_nothing_could_be_found(tmp_path: Path, says: Says) -> None:
     for name, seeds, code, words in (
         ("one", range(1), 1, "Nothing was compared: "),
         ("four", range(4), 0, "No change could have been found in 1 of 1 "),
     ):
         write_runs(tmp_path / name, seeds=seeds)
-        command = ["regress", str(tmp_path / name), "--baseline", base]
-        assert cli.main([*command, "--update"]) == 0
-        capsys.readouterr()
-        assert cli.main(command) == code
-        assert capsys.readouterr().out.splitlines()[-1].startswith(words)
-        assert cli.main([*command, "--require-power"]) == 1
+        command = ["regress", tmp_path / name, "--baseline", tmp_path / "base.json"]
+        says(0, *command, "--update")
+        assert says(code, *command).out.splitlines()[-1].startswith(words)
+        says(1, *command, "--require-power")
 
 
 def one_flight(values: str, bad: str = "false") -> str:
@@ -324,17 +317,14 @@ def test_a_margin_is_a_share(tmp_path: Path, says: Says, margin: str) -> None:
     ],
 )
 def test_bad_baselines_are_one_line(
-    tmp_path: Path, says: Says, capsys: pytest.CaptureFixture[str], text: str | None, message: str
+    tmp_path: Path, says: Says, text: str | None, message: str
 ) -> None:
     write_runs(tmp_path / "old")
     base = tmp_path / "base.json"
     if text is not None:
         base.write_text(text)
-        assert (
-            cli.main(["regress", str(tmp_path / "old"), "--baseline", str(base), "--update"]) == 2
-        )
+        says(2, "regress", tmp_path / "old", "--baseline", base, "--update")
         assert base.read_text() == text, "a file that is no baseline is left alone"
-        capsys.readouterr()
     said = says(2, "regress", tmp_path / "old", "--baseline", base)
     assert said.out == "" and said.err.count("\n") == 1 and message in said.err
 

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from touchdown.experiments.cli import main as cli
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.reporting.regression import baseline, bounds
+
+from support.command import Says
 
 Row = dict[str, Any]
 POSITION, NEES, SIGMA, SIGMA_Z, D_L, LEVEL = (figure.column for figure in baseline.FIGURES)
@@ -123,7 +124,7 @@ def test_flights_of_other_presets_and_seeds_are_not_compared() -> None:
 
 
 def test_the_command_flies_a_campaign_and_compares_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, says: Says
 ) -> None:
     flown: list[Row] = []
     plans = []
@@ -139,16 +140,15 @@ def test_the_command_flies_a_campaign_and_compares_it(
     monkeypatch.setattr(
         "touchdown.experiments.reporting.flights.load_flights", lambda _: list(flown)
     )
-    command = ["regress", str(file), "--baseline", str(base), "--bounds", "--preset", "short"]
+    command = ["regress", file, "--baseline", base, "--bounds", "--preset", "short"]
     for factor, code in ((1.0, 0), (6.0, 1)):
         flown[:] = flights(**{NEES: factor})
-        assert cli.main([*command, "--json"]) == code
-        found = json.loads(capsys.readouterr().out)
+        found = json.loads(says(code, *command, "--json").out)
         assert found["failed"] == bool(code)
         assert {f["figure"] for f in found["figures"] if f["worse"]} == (
             {"NEES"} if code else set()
         )
     plan, directory = plans[0]
     assert plan.runs[0].values["preset"] == "short" and not directory.exists()
-    assert cli.main(["regress", str(tmp_path), "--baseline", str(base), "--preset", "short"]) == 2
-    assert "is flown already" in capsys.readouterr().err
+    again = says(2, "regress", tmp_path, "--baseline", base, "--preset", "short")
+    assert "is flown already" in again.err

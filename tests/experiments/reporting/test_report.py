@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from touchdown.experiments.cli import main as cli
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.io.results import load_runs
 from touchdown.experiments.reporting import report as document
@@ -217,15 +216,13 @@ def test_runs_are_found_sorted_and_summed_up(campaign: Path) -> None:
     assert "bounce" not in lines[0], "nobody has it"
 
 
-def test_a_plain_directory_prints_its_table(
-    campaign: Path, says: Says, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_plain_directory_prints_its_table(campaign: Path, says: Says) -> None:
     lines = says(0, "report", campaign).out.splitlines()
     assert lines[0].startswith("| run | scene | estimator | seed | outcome |")
     assert lines[2].startswith("| crossroad-gps-s0 | crossroad | gps | 0 |")
     assert lines[-2:] == ["", "21 runs: COMPLETED 17, DIVERGED 1, LANDED 3; 1 unsafe touchdown"]
-    assert cli.main(["report", str(campaign / "lake-livo-s1"), "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["runs"][0]["run"] == "lake-livo-s1"
+    (run,) = json.loads(says(0, "report", campaign / "lake-livo-s1", "--json").out)["runs"]
+    assert run["run"] == "lake-livo-s1"
     assert not (campaign / "report").exists()
 
 

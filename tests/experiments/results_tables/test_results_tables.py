@@ -11,7 +11,6 @@ from touchdown.experiments.benchmarks.limit import survey
 from touchdown.experiments.campaign.directory import settle_plan
 from touchdown.experiments.campaign.plan import load_plan
 from touchdown.experiments.campaign.results_table import ROW_FILE, RUNS, write_table
-from touchdown.experiments.cli import main as cli
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.reporting.flights import frame_of
 from touchdown.experiments.results_tables import edition, tables
@@ -249,13 +248,13 @@ def test_missing_flights_are_named(tmp_path: Path) -> None:
 
 
 def test_nothing_is_written_of_missing_flights(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, says: Says
 ) -> None:
     found = {"directory": "d", "runs": 2, "finished": 1, "missing": 1, "crashed": 0, "outcomes": {}}
     monkeypatch.setattr("touchdown.experiments.results_tables.edition.fly", lambda *_: [found])
     monkeypatch.setattr("touchdown.experiments.results_tables.edition.measure", lambda *_: [])
-    code = cli.main(["results", "--out", str(tmp_path), "--write", "--quiet"])
-    assert code == 1 and "nothing is written" in capsys.readouterr().err
+    said = says(1, "results", "--out", tmp_path, "--write", "--quiet")
+    assert "nothing is written" in said.err
 
 
 def test_an_edition_is_of_one_revision_and_kept_to_the_digit(tmp_path: Path) -> None:

@@ -3,13 +3,11 @@
 import json
 import warnings
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
 import pytest
 
-from touchdown.experiments.cli import main as cli
 from touchdown.experiments.flight.survey_fit import fit_survey
 from touchdown.experiments.scene_tools.flyability import check_scene, check_scene_file
 from touchdown.experiments.scene_tools.posed_views import HoverView, hover_view
@@ -21,6 +19,7 @@ from touchdown.scenes.registry import scene_names
 from touchdown.scenes.render import render_scene
 from touchdown.scenes.truth.survey_facts import survey_facts
 
+from support.command import Says
 from support.worlds import load_ideal_config as load_config
 
 PLACE = """
@@ -110,13 +109,11 @@ def test_maps_show_class_height_and_safe_ground(views: SceneViews) -> None:
 
 
 def test_all_views_of_a_file_are_written_and_listed(
-    place_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    place_file: Path, tmp_path: Path, says: Says
 ) -> None:
     out = tmp_path / "views"
-    code = cli.main(
-        ["scenes", "render", str(place_file), "--all-views", "--out", str(out), "--json"]
-    )
-    assert code == 0 and json.loads(capsys.readouterr().out) == {"directory": str(out)}
+    printed = says(0, "scenes", "render", place_file, "--all-views", "--out", out, "--json").out
+    assert json.loads(printed) == {"directory": str(out)}
     assert {path.stem for path in out.iterdir()} == set(VIEWS)
     assert cv2.imread(str(out / "camera.png")).shape == (480, 848, 3)
 
@@ -183,25 +180,22 @@ def test_a_file_is_judged_by_what_a_survey_needs(
         assert expected in "".join(found)
 
 
-def test_the_check_of_a_file_is_a_table_and_an_exit_code(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_check_of_a_file_is_a_table_and_an_exit_code(tmp_path: Path, says: Says) -> None:
     place = write_place(tmp_path, f'{SMALL_LAWN}<geom name="heap" size="1" pos="6 5 0"/>')
     with pytest.warns(UserWarning, match=r"1 geom has no known class \(heap\): it counts"):
-        assert cli.main(["scenes", "check", place, "--as-is", "--json"]) == 1
-    (row,) = json.loads(capsys.readouterr().out)["places"]
+        printed = says(1, "scenes", "check", place, "--as-is", "--json").out
+    (row,) = json.loads(printed)["places"]
     assert row["facts"]["without_class"] == ["heap"]
     assert row["facts"]["legs_fraction"] == pytest.approx(0.2, abs=0.01)
     short = ["--as-is", "--set", "survey.legs=1", "--set", "survey.leg_length_m=12"]
     with warnings.catch_warnings():
         warnings.simplefilter("error")  # the heap was reported already
-        assert cli.main(["scenes", "check", place, *short]) == 0
-    shown = capsys.readouterr().out
+        shown = says(0, "scenes", "check", place, *short).out
     assert "lawn (lawn)" in shown and "heap" in shown and "remark: there is ground under" in shown
-    assert cli.main(["scenes", "check", "crosroad"]) == 2
+    says(2, "scenes", "check", "crosroad")
 
 
-def test_guesses_alike_share_a_row(tmp_path: Path, says: Any) -> None:
+def test_guesses_alike_share_a_row(tmp_path: Path, says: Says) -> None:
     heaps = "".join(f'<geom name="heap{i}" size="0.4" pos="{i} 5 0"/>' for i in range(7))
     with pytest.warns(UserWarning, match="the classes of 7 geoms are guessed"):
         shown = says(0, "scenes", "check", write_place(tmp_path, LAWN + heaps)).out

@@ -8,8 +8,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from touchdown.experiments.flight.run import class_counts
+from touchdown.experiments.flight.wiring import build_classifier
+from touchdown.experiments.io.result_parts import Landing
+from touchdown.experiments.io.results import is_success
 from touchdown.landing.api import Candidate, LandingParams, SemanticMapParams
-from touchdown.landing.classification import decision, weights
+from touchdown.landing.classification import decision, onboard, weights
 from touchdown.landing.classification.labels import D_LAND
 from touchdown.landing.classification.site_check import (
     SiteClass,
@@ -20,6 +24,7 @@ from touchdown.landing.classification.site_check import (
 from touchdown.sim.frames import Pose
 from touchdown.sim.typing import Array
 
+from support.command import Says
 from support.ground_class_support import (
     ByColour,
     chances,
@@ -31,6 +36,7 @@ from support.ground_class_support import (
     write_colour_network,
 )
 from support.landing_support import make_estimate, make_grid, make_obs, select, view_of
+from support.worlds import load_ideal_config as load_config
 
 ABOVE = Pose(np.eye(3), np.array([0.0, 0.0, 20.0]))
 SURE = 0.97
@@ -317,11 +323,9 @@ def test_refused_surfaces_rank_lower() -> None:
 
 def test_network_of_a_file_classifies(tmp_path: Path) -> None:
     pytest.importorskip("onnx")
-    from touchdown.landing.classification.onboard import load_onboard_classifier
-
     limits = decision.Limits(min_probability=0.75, min_energy=8.0)
     path = write_colour_network(tmp_path / "network.onnx", limits=limits)
-    classifier = load_onboard_classifier(path)
+    classifier = onboard.load_onboard_classifier(path)
     assert (classifier.image_size, classifier.min_probability) == (16, 0.75)
     images = np.zeros((3, 16, 16, 3), np.uint8)
     images[0, ..., 2] = images[1, ..., 1] = 255
@@ -330,17 +334,13 @@ def test_network_of_a_file_classifies(tmp_path: Path) -> None:
     assert prediction.in_distribution.tolist() == [
         True, True, False,
     ]  # black is like nothing it knows  # fmt: skip
-    assert load_onboard_classifier(path) is classifier
+    assert onboard.load_onboard_classifier(path) is classifier
     write_colour_network(path, limits=dataclasses.replace(limits, min_probability=0.5))
-    assert load_onboard_classifier(path).min_probability == 0.5
+    assert onboard.load_onboard_classifier(path).min_probability == 0.5
 
 
-def test_unusable_network_is_refused_in_one_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_unusable_network_is_refused_in_one_line(tmp_path: Path, says: Says) -> None:
     pytest.importorskip("onnx")
-    from touchdown.experiments.cli import main as cli
-
     cut = write_colour_network(tmp_path / "cut.onnx")
     cut.write_bytes(cut.read_bytes()[:-40])
     scene = write_colour_network(tmp_path / "scene.onnx", labels="d_scene")
@@ -353,21 +353,15 @@ def test_unusable_network_is_refused_in_one_line(
         (tmp_path / "none.onnx", "does not exist"),
     ):
         out = tmp_path / "run"
-        arguments = ["land", "flat", "--out", str(out), "--quiet"]
-        assert cli.main([*arguments, "--set", f"landing.classifier={name}"]) == 2
-        output = capsys.readouterr().err
+        arguments = ["land", "flat", "--out", out, "--quiet"]
+        output = says(2, *arguments, "--set", f"landing.classifier={name}").err
         assert words in output and output.count("\n") == 1 and not out.exists()
 
 
 def test_classifier_off_and_auto(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("onnx")
-    from touchdown.experiments.flight.wiring import build_classifier
-    from touchdown.landing.classification import onboard as in_flight
-
-    from support.worlds import load_ideal_config as load_config
-
     shipped = tmp_path / "shipped.onnx"
-    monkeypatch.setattr(in_flight, "SHIPPED", shipped)
+    monkeypatch.setattr(onboard, "SHIPPED", shipped)
     assert build_classifier(load_config()) is None
     write_colour_network(shipped)
     found = build_classifier(load_config())
@@ -380,10 +374,6 @@ def test_classifier_off_and_auto(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 
 
 def test_landings_judged_by_class() -> None:
-    from touchdown.experiments.flight.run import class_counts
-    from touchdown.experiments.io.result_parts import Landing
-    from touchdown.experiments.io.results import is_success
-
     assert class_counts(LandingParams()) and class_counts(LandingParams(site_xy_m=(1.0, 2.0)))
     for changes in (
         {"allow_risky": True},
