@@ -6,6 +6,7 @@ import os
 import sys
 import tempfile
 from collections.abc import Iterator
+from contextlib import ExitStack, closing
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -107,6 +108,13 @@ def _small_memory(request: pytest.FixtureRequest) -> Iterator[None]:
         if hasattr(value, "cache_clear"):
             value.cache_clear()
     release_memory()
+
+
+@pytest.fixture
+def closed() -> Iterator[Any]:
+    """Gives back what it is called with and closes it after the test."""
+    with ExitStack() as stack:
+        yield lambda thing: stack.enter_context(closing(thing))
 
 
 @pytest.fixture

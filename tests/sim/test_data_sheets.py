@@ -1,6 +1,7 @@
 """What estimators are given: data sheets and a calibration, nothing of the simulation."""
 
 from dataclasses import replace
+from typing import Any
 
 from touchdown.experiments.io.dataclass_json import to_plain
 from touchdown.sim import api as sim
@@ -25,7 +26,7 @@ SHEETS = {
 }
 
 
-def test_a_rig_holds_data_sheets_and_nothing_of_the_world() -> None:
+def test_a_rig_holds_data_sheets_and_nothing_of_the_world(closed: Any) -> None:
     """Neither parameters of the simulation nor what is drawn from the seed."""
     scene = scene_of(SCENE_XML)
     stated = sim.ImuParams(scale_sigma=0.003, misalignment_sigma_deg=0.1, offset_m=(0.01, 0.0, 0.0))
@@ -41,12 +42,10 @@ def test_a_rig_holds_data_sheets_and_nothing_of_the_world() -> None:
         camera=replace(kind.camera, exposure=True, stamp_delay_s=0.01, phase_s=0.01),
         wind=sim.WindParams(wakes=True), dust=sim.DustParams(density=1.0),
     )  # fmt: skip
-    worlds = MujocoWorld(scene, kind, 3), MujocoWorld(scene, unkind, 4)
+    worlds = closed(MujocoWorld(scene, kind, 3)), closed(MujocoWorld(scene, unkind, 4))
     rig, other = (to_plain(world.rig) for world in worlds)
     assert rig == other and rig["camera_readout_s"] == 0.015
     assert rig["imu"]["scale_sigma"] == 0.003 and rig["lidar"]["range_sigma_m"] == 0.02
     assert rig["nav"]["gps"]["antenna_body_m"] == list(kind.nav.gps.antenna_body_m)
     for name, keys in SHEETS.items():
         assert set((rig | rig["nav"])[name]) == set(keys.split())
-    for world in worlds:
-        world.close()

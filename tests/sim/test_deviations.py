@@ -107,16 +107,15 @@ def test_true_model_is_a_copy_with_another_body(scene: Scene) -> None:
     assert true_model(scene.model, nominal()) is scene.model
 
 
-def test_cameras_keep_the_textures_that_the_scene_gives_back() -> None:
+def test_cameras_keep_the_textures_that_the_scene_gives_back(closed: Any) -> None:
     scene, images = scene_of(XML), []
     for taken in (False, True):
-        world = make(scene, vehicle_error=ALL)
+        world = closed(make(scene, vehicle_error=ALL))
         world.require(sim.SensorNeeds(camera_hz=10))
         if taken:
             world.take_textures()
         arrived = (world.step(sim.Command(rotor_speed_radps=np.zeros(4))) for _ in range(200))
         images.append(next(obs.images[0].rgb for obs in arrived if obs.images))
-        world.close()
     np.testing.assert_array_equal(*images)
     assert images[0].std() > 20.0 and scene.model.tex_data.mean() < 20.0
 
@@ -198,14 +197,13 @@ def test_telemetry_has_noise_and_resolution() -> None:
     np.testing.assert_array_equal(SpeedTelemetry(sim.VehicleErrorParams(), 2).read(speeds), speeds)
 
 
-def test_the_world_reports_noisy_speeds_and_keeps_the_true_ones(scene: Scene) -> None:
+def test_the_world_reports_noisy_speeds_and_keeps_the_true_ones(scene: Scene, closed: Any) -> None:
     params = sim.VehicleErrorParams(telemetry_sigma_radps=2.0)
-    world = make(scene, vehicle_error=params)
+    world = closed(make(scene, vehicle_error=params))
     for _ in range(50):
         obs = world.step(sim.Command(rotor_speed_radps=np.full(4, 300.0)))
     off = obs.rotor_speed_radps - world.truth().rotor_speed_radps
     assert 0.0 < np.abs(off).max() < 10.0
-    world.close()
 
 
 def test_open_circuit_voltage_of_a_cell() -> None:
@@ -241,15 +239,14 @@ def test_sag_grows_with_what_was_used_and_is_off_by_default() -> None:
     assert plain.energy_used_j == (400.0 / DRIVE_EFFICIENCY + PowerSystem().avionics_w) * 0.005
 
 
-def test_sag_limits_the_rotors(scene: Scene) -> None:
+def test_sag_limits_the_rotors(scene: Scene, closed: Any) -> None:
     fastest = {}
     for sag in (False, True):
-        world = make(scene, sim=sim.SimParams(threads=1, battery_sag=sag))
+        world = closed(make(scene, sim=sim.SimParams(threads=1, battery_sag=sag)))
         maximum = world.rig.vehicle.rotor_speed_max
         for _ in range(80):
             world.step(sim.Command(rotor_speed_radps=np.full(4, maximum)))
         fastest[sag] = float(world.truth().rotor_speed_radps.mean())
-        world.close()
     assert fastest[False] == pytest.approx(maximum, rel=1e-3)
     assert 0.85 * maximum < fastest[True] < 0.97 * maximum
 

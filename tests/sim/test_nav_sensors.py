@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterator
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -15,7 +16,7 @@ from touchdown.sim.navigation.rangefinder import RangefinderSensor
 from touchdown.sim.typing import Array
 from touchdown.sim.world import MujocoWorld
 
-from support.places import scene_of
+from support.places import bare_scene, scene_of
 
 ALL_NAV = sim.SensorNeeds(gps=True, barometer=True, magnetometer=True, rangefinder=True)
 
@@ -107,12 +108,7 @@ def make_scene(ground: GroundRaster | None = None) -> tuple[Scene, mujoco.MjData
         "pond": Surface(land_class="water", reflectivity=0.02, water=True),
         "soot": Surface(land_class="road", reflectivity=0.01),
     }
-    scene = Scene(
-        name="place", seed=0, model=model, takeoff_xy_m=np.zeros(2), takeoff_yaw=0.0,
-        bounds_xy_m=np.array([[-60.0, -60.0], [60.0, 60.0]]), surfaces=surfaces, ground=ground,
-        moving=(),
-    )  # fmt: skip
-    return scene, data
+    return bare_scene(model, surfaces=surfaces, ground=ground), data
 
 
 def ranges(
@@ -192,26 +188,15 @@ def field() -> Scene:
 
 
 @pytest.fixture
-def make_world(field: Scene) -> Iterator[MakeWorld]:
-    made: list[MujocoWorld] = []
-
+def make_world(field: Scene, closed: Any) -> MakeWorld:
     def make(needs: sim.SensorNeeds = ALL_NAV, nav: sim.NavParams | None = None) -> MujocoWorld:
-        world = MujocoWorld(
-            field,
-            sim.WorldParams(
-                sim=sim.SimParams(threads=1),
-                camera=sim.CameraParams(width=32, height=24),
-                nav=nav or sim.NavParams(),
-            ),
-            3,
-            needs,
-        )
-        made.append(world)
-        return world
+        params = sim.WorldParams(
+            sim=sim.SimParams(threads=1), camera=sim.CameraParams(width=32, height=24),
+            nav=nav or sim.NavParams(),
+        )  # fmt: skip
+        return closed(MujocoWorld(field, params, 3, needs))
 
-    yield make
-    for world in made:
-        world.close()
+    return make
 
 
 def rest(world: MujocoWorld, steps: int) -> Iterator[sim.Observation]:

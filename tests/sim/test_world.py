@@ -4,6 +4,7 @@ import dataclasses
 import hashlib
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -43,28 +44,18 @@ def scene() -> Scene:
 
 
 @pytest.fixture
-def make_world(scene: Scene) -> Iterator[MakeWorld]:
-    made: list[MujocoWorld] = []
-
+def make_world(scene: Scene, closed: Any) -> MakeWorld:
     def make(
         sim: api.SimParams | None = None, needs: api.SensorNeeds | None = None,
         imu: api.ImuParams | None = None, wind: api.WindParams | None = None, seed: int = 3,
     ) -> MujocoWorld:  # fmt: skip
-        world = MujocoWorld(
-            scene,
-            api.WorldParams(
-                sim=sim or api.SimParams(threads=1), wind=wind or api.WindParams(),
-                camera=SMALL_IMAGE, imu=imu or api.ImuParams(),
-            ),
-            seed,
-            needs or api.SensorNeeds(),
+        params = api.WorldParams(
+            sim=sim or api.SimParams(threads=1), wind=wind or api.WindParams(),
+            camera=SMALL_IMAGE, imu=imu or api.ImuParams(),
         )  # fmt: skip
-        made.append(world)
-        return world
+        return closed(MujocoWorld(scene, params, seed, needs or api.SensorNeeds()))
 
-    yield make
-    for world in made:
-        world.close()
+    return make
 
 
 def _climb(vehicle: api.VehicleModel, truth: api.Truth, *, rate_mps: float = 1.0) -> api.Command:

@@ -1,5 +1,7 @@
 """A vehicle with a downward camera over a plain floor, for the tests of the camera."""
 
+from contextlib import closing
+
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
@@ -9,6 +11,8 @@ from touchdown.sim.api import CameraParams
 from touchdown.sim.camera.sensor import CameraSensor
 from touchdown.sim.frames import BODY_FROM_DOWNWARD_OPTICAL, Pose
 from touchdown.sim.typing import Array, Bytes
+
+from support.places import bare_scene
 
 CLEAN = CameraParams(noise_sigma=0.0)
 HEIGHT_M = 20.0
@@ -30,11 +34,7 @@ def make_scene(objects: str = "", quat_wxyz: str = "1 0 0 0", floor: str = "0 0 
       </body>
       <geom name="floor" type="plane" size="100 100 1" rgba="{floor}"/>{objects}
     </worldbody></mujoco>"""
-    return Scene(
-        name="test", seed=0, model=mujoco.MjModel.from_xml_string(xml), takeoff_xy_m=np.zeros(2),
-        takeoff_yaw=0.0, bounds_xy_m=np.array([[-60.0, -60.0], [60.0, 60.0]]), surfaces={},
-        ground=None, moving=(),
-    )  # fmt: skip
+    return bare_scene(mujoco.MjModel.from_xml_string(xml))
 
 
 def box(name: str, x: float, y: float, rgba: str) -> str:
@@ -52,11 +52,8 @@ def posed(scene: Scene) -> mujoco.MjData:
 def take_image(
     scene: Scene, params: CameraParams = CLEAN, name: str = "vehicle/camera", tick: int = 0
 ) -> Bytes:
-    sensor = CameraSensor(scene, params, 3, name)
-    try:
+    with closing(CameraSensor(scene, params, 3, name)) as sensor:
         return sensor.render(sensor.snapshot(posed(scene)), tick)
-    finally:
-        sensor.close()
 
 
 def centroid(mask: NDArray[np.bool_]) -> Array:

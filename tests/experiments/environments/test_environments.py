@@ -53,18 +53,12 @@ def road(tmp_path_factory: pytest.TempPathFactory) -> str:
 
 
 @pytest.fixture
-def make_task() -> Iterator[MakeTask]:
-    made: list[LandingTask] = []
-
+def make_task(closed: Any) -> MakeTask:
     def make(scene: str, **options: Any) -> LandingTask:
         defaults: dict[str, Any] = {"start_spread_m": 1.0, "start_height_m": 4.0}
-        task = LandingTask(TaskOptions(scene=scene, **SMALL, **(defaults | options)))
-        made.append(task)
-        return task
+        return closed(LandingTask(TaskOptions(scene=scene, **SMALL, **(defaults | options))))
 
-    yield make
-    for task in made:
-        task.close()
+    return make
 
 
 def test_gymnasium_checker_passes(lawn: str) -> None:

@@ -1,5 +1,7 @@
 """Random draws of a flight: independent over scenes and seeds, the same for every method."""
 
+from contextlib import closing
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -57,15 +59,12 @@ def test_two_scenes_share_no_draws(other: str) -> None:
 
 
 def readings(config: Config) -> NDArray[np.float64]:
-    world = make_world(config, cached_scene("flat"))
-    try:
+    with closing(make_world(config, cached_scene("flat"))) as world:
         obs = world.step(Command(rotor_speed_radps=np.zeros(4)))
         return np.concatenate(
             [obs.imu[-1].angular_velocity, world.truth().wind_world,
              nominal_rig(world.rig, config).body_from_lidar.rotation.ravel()]
         )  # fmt: skip
-    finally:
-        world.close()
 
 
 def test_methods_over_one_scene_and_seed_are_pairs() -> None:

@@ -5,6 +5,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -42,26 +43,20 @@ def build(tmp_path: Path) -> Iterator[Path]:
 def test_each_step_has_one_answer_and_what_is_said_becomes_events(
     build: Path, tmp_path: Path
 ) -> None:
-    pilot = autopilot(build)
     (tmp_path / "run").mkdir()
-    pilot.keep_in(tmp_path / "run")
-    try:
+    with closing(autopilot(build)) as pilot:
+        pilot.keep_in(tmp_path / "run")
         events = rest(pilot, 800, motors_on=True)
         steps, answers = pilot.lockstep
         assert not pilot.waits and len(running(build)) > 0
-    finally:
-        pilot.close()
     assert steps == answers and 700 < steps < 800 - SILENT_STEPS
     assert events == ["PX4: mode mode 0", "PX4: mode OFFBOARD", "PX4: armed"]
     assert [file.name for file in (tmp_path / "run").iterdir()] == ["px4.log"]
 
 
 def test_an_unhealthy_estimate_is_not_sent_and_its_return_is_a_reset(build: Path) -> None:
-    pilot = autopilot(build)
-    try:
+    with closing(autopilot(build)) as pilot:
         events = rest(pilot, 700, lost=range(300, 450))
-    finally:
-        pilot.close()
     said = [text for text in events if "vision" in text]
     assert said == ["PX4: no vision", "PX4: vision reset 1"]
 
@@ -78,17 +73,14 @@ class _Asked:
 
 
 def test_the_lander_waits_until_px4_has_armed(build: Path) -> None:
-    pilot, lander = autopilot(build), _Asked()
-    held: Any = pilot.holding(lander)  # type: ignore[arg-type]
-    asked = []
-    try:
+    lander, asked = _Asked(), []
+    with closing(autopilot(build)) as pilot:
+        held: Any = pilot.holding(lander)  # type: ignore[arg-type]
         for step in range(600):
             wanted = held.update(None, None, None)
             pilot.sense(observation(3 * step))
             pilot.update(estimate(3 * step), wanted)
             asked.append(lander.times)
-    finally:
-        pilot.close()
     # Steps before PX4 has connected, 0.5 s to OFFBOARD, 0.5 s to arm, 0.6 s to spool up.
     waited = asked.count(asked[200])
     assert 200 < waited < 450 and asked[-1] == 600 - waited + 1
@@ -98,11 +90,8 @@ def test_warnings_that_px4_prints_become_events(
     build: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("PEER_FAULT", "deny@1")
-    pilot = autopilot(build)
-    try:
+    with closing(autopilot(build)) as pilot:
         events = rest(pilot, 600, motors_on=True)
-    finally:
-        pilot.close()
     denied = [text for text in events if "denied" in text]
     assert "PX4: Arming denied: no valid position" in denied
     assert set(denied) == {"PX4: Arming denied: no valid position", "PX4: commander: Arming denied"}
@@ -127,12 +116,11 @@ def test_a_px4_that_breaks_the_protocol_ends_the_flight_in_one_line(
     limits = ("px4.answer_s=1.0", "px4.arm_s=2.0")
     if fault == "silent@1":  # it must connect within that time, on a busy machine as well
         limits = ("px4.start_s=4.0", "px4.arm_s=30.0")
-    pilot = autopilot(build, *limits)
-    try:
-        with pytest.raises(Px4Error, match=sentence) as raised:
-            rest(pilot, 6000, motors_on=True)
-    finally:
-        pilot.close()
+    with (
+        closing(autopilot(build, *limits)) as pilot,
+        pytest.raises(Px4Error, match=sentence) as raised,
+    ):
+        rest(pilot, 6000, motors_on=True)
     assert "\n" not in str(raised.value)
 
 
@@ -173,16 +161,14 @@ def test_params_are_those_of_a_flight_as_lines_of_the_start_script(says: Any) ->
 
 
 def test_taken_ports_are_passed_over_and_a_named_one_is_refused() -> None:
-    first = link.reserve(4600, exactly=False)
-    second = link.reserve(4600, exactly=False)
-    try:
+    with (
+        closing(link.reserve(4600, exactly=False)) as first,
+        closing(link.reserve(4600, exactly=False)) as second,
+    ):
         assert second.instance > first.instance
         assert (first.own - 14540, first.of_px4 - 14580) == (first.instance, first.instance)
         with pytest.raises(Px4Error, match="is taken"):
             link.reserve(4560 + first.instance, exactly=True)
-    finally:
-        first.close()
-        second.close()
 
 
 def test_one_that_somebody_else_starts_is_joined(build: Path, tmp_path: Path) -> None:

@@ -1,6 +1,7 @@
 """The camera's conventions, intrinsics, noise and threading on rendered images."""
 
 import threading
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -53,32 +54,29 @@ def test_right_camera_sees_a_disparity() -> None:
     assert left[1] == pytest.approx(right[1], abs=0.2)
 
 
-def test_snapshot_keeps_its_instant() -> None:
+def test_snapshot_keeps_its_instant(closed: Any) -> None:
     scene = camera_support.make_scene(camera_support.box("ahead", 4.0, 0.0, "1 0 0 1"))
     data = camera_support.posed(scene)
-    sensor = CameraSensor(scene, camera_support.CLEAN, 0)
+    sensor = closed(CameraSensor(scene, camera_support.CLEAN, 0))
     earlier = sensor.snapshot(data)
     data.qpos[:2] = [4.0, 0.0]
     mujoco.mj_forward(scene.model, data)
     later = sensor.snapshot(data)
     above = camera_support.centroid(sensor.render(later, 1)[..., 0] > 128)
     ahead = camera_support.centroid(sensor.render(earlier, 0)[..., 0] > 128)
-    sensor.close()
     assert above[1] == pytest.approx(239.5, abs=0.6)
     assert ahead[1] == pytest.approx(239.5 - 625.2 * 4.0 / 19.998, abs=0.6)
 
 
-def test_noise_has_its_sigma_and_its_seed() -> None:
+def test_noise_has_its_sigma_and_its_seed(closed: Any) -> None:
     scene = camera_support.make_scene(floor="0.5 0.5 0.5 1")
     data = camera_support.posed(scene)
     clean = camera_support.take_image(scene).astype(np.float64)
     params = CameraParams(noise_sigma=1.5)
-    sensor = CameraSensor(scene, params, 3)
+    sensor = closed(CameraSensor(scene, params, 3))
     first, again, later = (sensor.render(sensor.snapshot(data), tick) for tick in (20, 20, 40))
-    sensor.close()
-    other_seed = CameraSensor(scene, params, 4)
+    other_seed = closed(CameraSensor(scene, params, 4))
     other = other_seed.render(other_seed.snapshot(data), 20)
-    other_seed.close()
     noise = first - clean
     assert noise.mean() == pytest.approx(0.0, abs=0.02)
     assert noise.std() == pytest.approx(1.5, abs=0.02)
@@ -90,9 +88,9 @@ def test_noise_has_its_sigma_and_its_seed() -> None:
     assert not first.flags.writeable
 
 
-def test_a_second_thread_is_refused() -> None:
+def test_a_second_thread_is_refused(closed: Any) -> None:
     scene = camera_support.make_scene()
-    sensor = CameraSensor(scene, camera_support.CLEAN, 0)
+    sensor = closed(CameraSensor(scene, camera_support.CLEAN, 0))
     snapshot = sensor.snapshot(camera_support.posed(scene))
     sensor.render(snapshot, 0)
     errors: list[Exception] = []
@@ -106,7 +104,6 @@ def test_a_second_thread_is_refused() -> None:
     worker = threading.Thread(target=draw)
     worker.start()
     worker.join()
-    sensor.close()
     assert "one thread only" in str(errors[0])
 
 

@@ -1,9 +1,7 @@
 """Depth, segmentation, lens, exposure, shutter and backends of the camera."""
 
-import os
 import subprocess
-import sys
-from pathlib import Path
+from contextlib import closing
 
 import cv2
 import numpy as np
@@ -18,6 +16,7 @@ from touchdown.sim.delivery import readout_ticks
 from touchdown.sim.geometry.lens import distorted, project, undistorted
 
 from support.camera_support import CLEAN, HEIGHT_M, box, centroid, make_scene, posed, take_image
+from support.command import python, without_display
 
 BARREL = (-0.11, 0.02, 0.0012, -0.0008, -0.003)
 """Stronger distortion than that of a D435, with tangential terms."""
@@ -25,12 +24,9 @@ BARREL = (-0.11, 0.02, 0.0012, -0.0008, -0.003)
 
 def seen(scene: Scene, params: CameraParams = CLEAN) -> tuple[NDArray, NDArray]:
     """(H, W) depths and ids of geoms."""
-    sensor = CameraSensor(scene, params, 0)
-    try:
+    with closing(CameraSensor(scene, params, 0)) as sensor:
         snapshot = sensor.snapshot(posed(scene))
         return sensor.render_depth(snapshot), sensor.render_segmentation(snapshot)
-    finally:
-        sensor.close()
 
 
 def test_depth_is_along_the_axis_not_along_the_ray() -> None:
@@ -189,12 +185,7 @@ def image_elsewhere(**environment: str) -> subprocess.CompletedProcess[str]:
         "p = take_image(make_scene(floor='0 0 1 1')); "
         "print(os.environ['MUJOCO_GL'], int(p[..., 2].min() > 200))"
     )
-    hidden = ("MUJOCO_GL", "DISPLAY", "WAYLAND_DISPLAY", "PYOPENGL_PLATFORM")
-    inherited = {k: v for k, v in os.environ.items() if k not in hidden}
-    return subprocess.run(
-        [sys.executable, "-c", script], env=inherited | {"PYTHONPATH": ".:tests"} | environment,
-        capture_output=True, text=True, check=False, cwd=Path(__file__).parents[3],
-    )  # fmt: skip
+    return python("-c", script, env=without_display(PYTHONPATH=".:tests", **environment))
 
 
 def test_osmesa_takes_over_where_egl_fails() -> None:

@@ -1,6 +1,7 @@
 """Exposure: control with a lag, motion blur, photon and read noise, darkness."""
 
 import dataclasses
+from contextlib import closing
 
 import numpy as np
 import pytest
@@ -31,11 +32,8 @@ def still(
 ) -> Bytes:
     """An image at rest, once the exposure has settled."""
     lit = dataclasses.replace(scene, light=light)
-    sensor = CameraSensor(lit, params, 0, lamp=lamp)
-    try:
+    with closing(CameraSensor(lit, params, 0, lamp=lamp)) as sensor:
         return sensor.render(sensor.snapshot(posed(lit)), 7)
-    finally:
-        sensor.close()
 
 
 def test_the_control_follows_with_its_time_constant() -> None:

@@ -1,5 +1,6 @@
 """Rolling shutter: rows out of one drawing against a drawing for every row."""
 
+from contextlib import closing
 from typing import Any
 
 import cv2
@@ -35,20 +36,17 @@ def row_by_row(
     scene: Scene, motion: Motion, readout_s: float, distortion: tuple[float, ...]
 ) -> tuple[Bytes, Bytes, Bytes]:
     """The image drawn anew for every row, the one of `render_rows`, and one of the last instant."""
-    common = {"noise_sigma": 0.0, "distortion": distortion}
-    drawn = CameraSensor(scene, CameraParams(**common), 0)  # type: ignore[arg-type]
-    warped = CameraSensor(
-        scene, CameraParams(readout_s=readout_s, **common), 0  # type: ignore[arg-type]
-    )  # fmt: skip
+    plain = CameraParams(noise_sigma=0.0, distortion=distortion)
+    rolling = CameraParams(noise_sigma=0.0, distortion=distortion, readout_s=readout_s)
     stand, height = Stand(scene, motion), CameraParams().height
     times = (np.arange(height) / (height - 1) - 1.0) * readout_s
-    try:
+    with (
+        closing(CameraSensor(scene, plain, 0)) as drawn,
+        closing(CameraSensor(scene, rolling, 0)) as warped,
+    ):
         truth = drawn_by_rows(drawn, [stand.snapshot(drawn, float(t)) for t in times])
         at_once = drawn.render(stand.snapshot(drawn, 0.0), 0)
         return truth, stand.rows(warped, readout_s), at_once
-    finally:
-        drawn.close()
-        warped.close()
 
 
 @pytest.mark.parametrize("distortion", [(0.0,) * 5, DISTORTION])
@@ -89,24 +87,22 @@ def test_a_longer_exposure_takes_a_wider_drawing() -> None:
     assert width(exposure=True, exposure_max_s=0.2) == 2 * 64
 
 
-def test_a_camera_at_rest_has_no_shutter() -> None:
+def test_a_camera_at_rest_has_no_shutter(closed: Any) -> None:
     scene = boxes_scene()
-    plain = CameraSensor(scene, CameraParams(noise_sigma=0.0), 0)
-    rolling = CameraSensor(scene, CameraParams(noise_sigma=0.0, readout_s=READOUT_S), 0)
+    plain = closed(CameraSensor(scene, CameraParams(noise_sigma=0.0), 0))
+    rolling = closed(CameraSensor(scene, CameraParams(noise_sigma=0.0, readout_s=READOUT_S), 0))
     stand = Stand(scene, lambda _: Pose(np.eye(3), np.array([0.0, 0.0, HEIGHT_M])))
     still = plain.render(stand.snapshot(plain, 0.0), 0)
     rows = stand.rows(rolling, READOUT_S)
     alone = rolling.render(stand.snapshot(rolling, 0.0), 0)
     depth = rolling.render_depth(stand.snapshot(rolling, 0.0))
-    plain.close()
-    rolling.close()
     np.testing.assert_array_equal(rows, alone)
     # the margin moves the rasterisation of edges by less than a pixel
     assert (still != rows).any(axis=-1).mean() < 0.02
     assert depth.shape == still.shape[:2]
 
 
-def test_the_last_row_is_of_the_stamp_and_the_first_is_older() -> None:
+def test_the_last_row_is_of_the_stamp_and_the_first_is_older(closed: Any) -> None:
     """At 10 m/s ahead the top row is exposed 0.15 m earlier: what it shows lies f 0.15 / 20 = 4.7
     pixels higher than in an image of the last instant. The bottom row is of that instant."""
     spots = box("near", -6.0, 0.0, "1 0 0 1") + box("far", 6.5, 0.0, "1 0 0 1")
@@ -116,13 +112,11 @@ def test_the_last_row_is_of_the_stamp_and_the_first_is_older() -> None:
         return Pose(np.eye(3), np.array([10.0 * time_s, 0.0, HEIGHT_M]))
 
     params = CameraParams(noise_sigma=0.0)
-    plain = CameraSensor(scene, params, 0)
-    rolling = CameraSensor(scene, CameraParams(noise_sigma=0.0, readout_s=READOUT_S), 0)
+    plain = closed(CameraSensor(scene, params, 0))
+    rolling = closed(CameraSensor(scene, CameraParams(noise_sigma=0.0, readout_s=READOUT_S), 0))
     stand = Stand(scene, motion)
     last = plain.render(stand.snapshot(plain, 0.0), 0)
     rows = stand.rows(rolling, READOUT_S)
-    plain.close()
-    rolling.close()
     fy = intrinsics_of(params).fy
     for half in (slice(0, 240), slice(240, 480)):
         before = centroid(last[half, :, 0] > 128) + [0.0, half.start]
@@ -132,14 +126,13 @@ def test_the_last_row_is_of_the_stamp_and_the_first_is_older() -> None:
         assert after[0] == pytest.approx(before[0], abs=0.1)
 
 
-def test_a_moving_body_is_where_it_is_at_the_middle_of_the_readout() -> None:
+def test_a_moving_body_is_where_it_is_at_the_middle_of_the_readout(closed: Any) -> None:
     """The stated error: speed times half the readout over depth times f, at the first and the last
     row. At 10 m/s, 20 m below: 2.3 px."""
     scene = make_scene(box("car", 0.0, 0.0, "1 0 0 1"))
-    rolling = CameraSensor(scene, CameraParams(noise_sigma=0.0, readout_s=READOUT_S), 0)
+    rolling = closed(CameraSensor(scene, CameraParams(noise_sigma=0.0, readout_s=READOUT_S), 0))
     stand = Stand(scene, lambda _: Pose(np.eye(3), np.array([0.0, 0.0, HEIGHT_M])))
     image = stand.rows(rolling, READOUT_S)
-    rolling.close()
     k = rolling.intrinsics()
     np.testing.assert_allclose(centroid(image[..., 0] > 128), [k.cx, k.cy], atol=0.3)
 

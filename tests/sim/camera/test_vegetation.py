@@ -3,16 +3,14 @@
 import dataclasses
 import functools
 import math
-import tempfile
 from collections.abc import Iterator
-from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
 import pytest
 
 from touchdown.scenes.api import DETAILS, GroundRaster, Scene, Surface
-from touchdown.scenes.compose import load_scene
 from touchdown.sim import api as sim
 from touchdown.sim.camera.vegetation import Vegetation
 from touchdown.sim.frames import Pose, so3_exp
@@ -21,6 +19,8 @@ from touchdown.sim.moving import BodyTrack
 from touchdown.sim.navigation.rangefinder import RangefinderSensor
 from touchdown.sim.posed_sensors import PosedSensors
 from touchdown.sim.world import MujocoWorld
+
+from support.places import scene_of
 
 CANOPY_M, LEAVES = 0.25, 1.7
 FRACTION = 1.0 - (1.0 - math.exp(-0.5 * LEAVES)) / (0.5 * LEAVES)
@@ -51,10 +51,6 @@ MEADOW, ROAD, PAD = (-10.0, 0.0), (10.0, 0.0), (-12.0, 8.0)
 @functools.cache
 def place() -> Scene:
     """Level ground at 0.5 m: a meadow in the west, asphalt in the east."""
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "place.xml"
-        path.write_text(PLACE)
-        scene = load_scene(str(path), 0)
     east = np.tile(np.arange(400) >= 200, (400, 1)).astype(np.uint8)
     plants = Surface(land_class="lawn", reflectivity=0.4, canopy_m=CANOPY_M, leaf_area=LEAVES)
     raster = GroundRaster(
@@ -63,7 +59,7 @@ def place() -> Scene:
         materials=(plants, Surface(land_class="road", reflectivity=0.4)),
         detail_id=np.full((400, 400), DETAILS.index("grass"), np.uint8),
     )  # fmt: skip
-    return dataclasses.replace(scene, ground=raster)
+    return dataclasses.replace(scene_of(PLACE), ground=raster)
 
 
 def sensors_of(lidar: sim.LidarParams, **lens: object) -> PosedSensors:
@@ -166,15 +162,14 @@ def test_a_camera_in_the_plants_sees_the_ground(grown: PosedSensors, bare: Posed
             np.testing.assert_allclose(seen.depth_m, clear, atol=1e-3)
 
 
-def test_grain_lies_on_the_plants() -> None:
+def test_grain_lies_on_the_plants(closed: Any) -> None:
     """Grain is multiplied in where depth and the ground's height agree; plants that stand higher
     than its tolerance keep theirs."""
     tall = dataclasses.replace(GRASS, vegetation=4.0)
-    with_grain, without = sensors_of(tall, detail=True), sensors_of(tall, detail=False)
+    with_grain, without = (closed(sensors_of(tall, detail=on)) for on in (True, False))
     pose = above(MEADOW, 2.0)
     images = [made.view(pose, 0.0, 0).rgb.astype(int) for made in (with_grain, without)]
     changed = (images[0] != images[1]).any(axis=2)
-    with_grain.close(), without.close()
     assert changed.mean() > 0.8
 
 
@@ -240,12 +235,11 @@ def test_the_world_s_camera_and_rangefinder_see_the_plants() -> None:
     assert bare_range - reading == pytest.approx(expected, abs=0.005)
 
 
-def test_the_model_of_physics_and_lidar_keeps_its_ground() -> None:
+def test_the_model_of_physics_and_lidar_keeps_its_ground(closed: Any) -> None:
     model = place().model
     before = model.hfield_data.copy()
-    made = sensors_of(GRASS, samples=4)
+    made = closed(sensors_of(GRASS, samples=4))
     made.view(above(MEADOW, 4.0), 0.0, 0)
-    made.close()
     np.testing.assert_array_equal(model.hfield_data, before)
     found = vegetation()
     assert found.terrain.field == int(model.geom_dataid[model.geom("ground").id]) != 0

@@ -1,6 +1,7 @@
 """Faults of weather and light, on LIDAR and camera, against known answers."""
 
 import math
+from contextlib import closing
 from typing import Any
 
 import mujoco
@@ -11,7 +12,6 @@ from numpy.typing import NDArray
 from touchdown.experiments.flight.wiring import low_sun
 from touchdown.scenes.api import LowSun, Scene
 from touchdown.scenes.authoring.light import air_mass, lit_by, lower_sun, sun_colour
-from touchdown.scenes.compose import load_scene
 from touchdown.sim.api import CameraParams, FaultParams, LidarParams, LidarScan
 from touchdown.sim.camera.degradations import (
     AIRLIGHT_LEVEL,
@@ -29,6 +29,7 @@ from support.camera_support import make_scene as camera_scene
 from support.fault_air_support import look_down
 from support.fault_support import HZ
 from support.lidar_support import BUDGET, PLANE
+from support.places import scene_of
 from support.worlds import load_ideal_config as load_config
 
 
@@ -134,11 +135,10 @@ def level_of(light: float) -> float:
 
 
 def photograph(scene: Scene, *events: str, **faults: Any) -> NDArray[np.uint8]:
-    camera = CameraSensor(scene, CLEAN, 3, faults=FaultParams(events=events, **faults), tick_hz=HZ)
-    try:
+    with closing(
+        CameraSensor(scene, CLEAN, 3, faults=FaultParams(events=events, **faults), tick_hz=HZ)
+    ) as camera:
         return camera.render(camera.snapshot(posed(scene)), 0)
-    finally:
-        camera.close()
 
 
 @pytest.mark.parametrize("grey", [0.0, 1.0])
@@ -220,15 +220,14 @@ def test_a_low_sun_is_red_and_stands_at_the_given_azimuth() -> None:
     np.testing.assert_allclose(-kept, [-math.sqrt(0.75), 0.0, 0.5], atol=1e-12)  # as it stood
 
 
-def test_the_low_sun_is_limited_to_scenes_with_the_fault(tmp_path: Any) -> None:
-    file = tmp_path / "place.xml"
-    file.write_text('<mujoco><worldbody><geom type="plane" size="50 50 1"/></worldbody></mujoco>')
-    plain, low = (load_scene(str(file), 0, s) for s in (None, LowSun(elevation_deg=5.0)))
+def test_the_low_sun_is_limited_to_scenes_with_the_fault() -> None:
+    xml = '<mujoco><worldbody><geom type="plane" size="50 50 1"/></worldbody></mujoco>'
+    plain, low = (scene_of(xml, sun=sun) for sun in (None, LowSun(elevation_deg=5.0)))
     assert low.model.light("sun").dir[2] == pytest.approx(-math.sin(math.radians(5.0)), abs=1e-6)
     assert plain.model.light("sun").dir[2] < -0.8
     with lit_by("day", LowSun(elevation_deg=5.0)):
         pass
-    again = load_scene(str(file), 0)
+    again = scene_of(xml)
     np.testing.assert_array_equal(again.model.light("sun").dir, plain.model.light("sun").dir)
     assert low_sun(load_config()) is None
     asked = low_sun(load_config(None, ["faults.low_sun_deg=7.5"], fault=("low_sun@0",)))

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterator
+from contextlib import closing
 from dataclasses import replace
 from typing import Any
 
@@ -122,8 +123,9 @@ def params_with(faults: api.FaultParams) -> api.WorldParams:
 def half_seconds_in_flight(scene: Scene, *events: str) -> Iterator[bytes]:
     """All that is sensed and true of each half second in the air, as bytes."""
     needs = api.SensorNeeds(camera_hz=15, lidar=True, gps=True)
-    world = MujocoWorld(scene, params_with(api.FaultParams(events=events)), 3, needs)
-    try:
+    with closing(
+        MujocoWorld(scene, params_with(api.FaultParams(events=events)), 3, needs)
+    ) as world:
         world.start_in_air(np.array([0.0, 0.0, 12.0]), 0.3)
         model = world.rig.vehicle
         hover = math.sqrt(model.mass_kg * 9.81 / (4.0 * model.thrust_coefficient))
@@ -136,8 +138,6 @@ def half_seconds_in_flight(scene: Scene, *events: str) -> Iterator[bytes]:
                 seen += [m.position_world.tobytes() for m in obs.gps]
                 seen += [m.specific_force.tobytes() for m in obs.imu]
             yield b"".join([*seen, world.truth().world_from_body.translation.tobytes()])
-    finally:
-        world.close()
 
 
 ALL_LATER = tuple(
