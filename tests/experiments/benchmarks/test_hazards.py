@@ -6,10 +6,9 @@ import pytest
 from touchdown.experiments.benchmarks.selection import hazards
 from touchdown.experiments.benchmarks.selection.hazards import Things, compared, true_things
 from touchdown.landing.api import LandingParams
-from touchdown.landing.selection.ground.elevation_raster import observed_raster
 from touchdown.sim.typing import Array
 
-from support.landing_support import make_grid
+from support.landing_support import make_grid, raster_of
 
 PARAMS = LandingParams()
 
@@ -25,8 +24,7 @@ def ground(slope_deg: float = 0.0) -> Array:
 
 def rows(things: Things, *flagged: tuple[int, int]) -> list[tuple[str, bool]]:
     """What is found of a map of 0.1 m cells with such cells flagged."""
-    raster = observed_raster(make_grid(np.zeros((70, 70)), cell_m=0.1))
-    assert raster is not None
+    raster = raster_of(make_grid(np.zeros((70, 70)), cell_m=0.1))
     flags = np.zeros(raster.shape, bool)
     for spot in flagged:
         flags[spot] = True

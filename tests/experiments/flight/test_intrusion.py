@@ -52,44 +52,49 @@ def step(
     return SimpleNamespace(truth=truth, obs=obs, lander_view=view)
 
 
-def test_the_time_from_first_sight_to_the_answer() -> None:
+def seen_after(*steps: Any) -> Any:
     observer = IntrusionObserver(RIG)
-    assert observer.summary() is None
-    observer.tick(step(1.0, 20.3, (0, 0, 0)))  # too high to be watched
-    observer.tick(step(2.0, 10.3, (30, 0, 0)))  # far aside
-    observer.tick(step(2.5, 10.3, (0, 5, 0), phase=Phase.APPROACH))  # nothing to interrupt
-    observer.tick(step(3.0, 10.3, (0, 5, 0), "DESCEND wind_aloft: something else"))
-    observer.tick(step(3.4, 9.5, (0, 4, 0), "DESCEND site_not_clear: something moves"))
-    observer.tick(step(4.0, 9.0, (0, 3, 0), "DESCEND site_not_clear: something moves"))
+    for each in steps:
+        observer.tick(each)
     found = observer.summary()
     assert found is not None
+    return found
+
+
+def test_the_time_from_first_sight_to_the_answer() -> None:
+    assert IntrusionObserver(RIG).summary() is None
+    found = seen_after(
+        step(1.0, 20.3, (0, 0, 0)),  # too high to be watched
+        step(2.0, 10.3, (30, 0, 0)),  # far aside
+        step(2.5, 10.3, (0, 5, 0), phase=Phase.APPROACH),  # nothing to interrupt
+        step(3.0, 10.3, (0, 5, 0), "DESCEND wind_aloft: something else"),
+        step(3.4, 9.5, (0, 4, 0), "DESCEND site_not_clear: something moves"),
+        step(4.0, 9.0, (0, 3, 0), "DESCEND site_not_clear: something moves"),
+    )
     assert (found.in_view_s, found.in_view_height_m) == (3.0, pytest.approx(10.0))
     assert (found.answered_s, found.reaction_s) == (3.4, pytest.approx(0.4))
     assert found.stopping_m == pytest.approx(2.0**2 / (2.0 * (16.0 - 9.80665)), rel=1e-3)
 
 
 def test_an_answer_before_the_sight_takes_no_time_and_none_is_none() -> None:
-    observer = IntrusionObserver(RIG)
-    expected = "DESCEND site_not_clear: expected"
-    observer.tick(step(1.0, 3.3, None, expected, verdict=Verdict.WAIT))
-    observer.tick(step(1.5, 3.3, (9, 0, 0), verdict=Verdict.WAIT))
-    observer.tick(step(2.0, 3.3, (0, 1, 0), verdict=Verdict.WAIT))
-    observer.tick(step(3.0, 3.3, (0, 1, 0)))
-    found = observer.summary()
-    assert found is not None and (found.answered_s, found.reaction_s) == (1.0, 0.0)
-    unseen = IntrusionObserver(RIG)
-    unseen.tick(step(1.0, 3.3, (9, 0, 0)))
-    assert unseen.summary().in_view_s is None  # type: ignore[union-attr]
+    found = seen_after(
+        step(1.0, 3.3, None, "DESCEND site_not_clear: expected", verdict=Verdict.WAIT),
+        step(1.5, 3.3, (9, 0, 0), verdict=Verdict.WAIT),
+        step(2.0, 3.3, (0, 1, 0), verdict=Verdict.WAIT),
+        step(3.0, 3.3, (0, 1, 0)),
+    )
+    assert (found.answered_s, found.reaction_s) == (1.0, 0.0)
+    assert seen_after(step(1.0, 3.3, (9, 0, 0))).in_view_s is None
 
 
 def test_an_interruption_that_ended_before_the_sight_is_no_answer() -> None:
-    observer = IntrusionObserver(RIG)
-    observer.tick(step(1.0, 3.3, (9, 0, 0), "DESCEND site_not_clear: a bush"))
-    observer.tick(step(1.5, 3.3, (9, 0, 0)))
-    observer.tick(step(2.0, 3.3, (0, 1, 0)))
-    observer.tick(step(3.5, 3.3, (0, 1, 0), "DESCEND site_not_clear: something moves"))
-    found = observer.summary()
-    assert found is not None and (found.answered_s, found.reaction_s) == (3.5, 1.5)
+    found = seen_after(
+        step(1.0, 3.3, (9, 0, 0), "DESCEND site_not_clear: a bush"),
+        step(1.5, 3.3, (9, 0, 0)),
+        step(2.0, 3.3, (0, 1, 0)),
+        step(3.5, 3.3, (0, 1, 0), "DESCEND site_not_clear: something moves"),
+    )
+    assert (found.answered_s, found.reaction_s) == (3.5, 1.5)
 
 
 @pytest.mark.parametrize(
@@ -101,9 +106,8 @@ def test_an_interruption_that_ended_before_the_sight_is_no_answer() -> None:
     ],
 )
 def test_the_field_of_view_of_the_camera(aside: float, height: float, seen: bool) -> None:
-    observer = IntrusionObserver(RIG)
-    observer.tick(step(1.0, height, (0.0, aside, 0.0)))
-    assert (observer.summary().in_view_s is not None) is seen  # type: ignore[union-attr]
+    found = seen_after(step(1.0, height, (0.0, aside, 0.0)))
+    assert (found.in_view_s is not None) is seen
 
 
 @pytest.mark.parametrize(
@@ -113,33 +117,24 @@ def test_the_field_of_view_of_the_camera(aside: float, height: float, seen: bool
 def test_returns_of_a_scan_from_him(beside_m: float, up_m: float, returns: int, seen: bool) -> None:
     foot, body = np.array([6.0, 0.0, 0.0]), np.array([0.0, 0.0, 3.0])
     away = DOWN.inverse().apply(foot + [beside_m, 0.0, up_m] - body)
-    observer = IntrusionObserver(RIG)
-    observer.tick(step(1.0, 3.0, tuple(foot)))
-    observer.tick(step(1.01, 3.0, tuple(foot), scans=(scan(away, returns, 1.0),)))
-    assert (observer.summary().in_view_s is not None) is seen  # type: ignore[union-attr]
+    scans = (scan(away, returns, 1.0),)
+    found = seen_after(step(1.0, 3.0, tuple(foot)), step(1.01, 3.0, tuple(foot), scans=scans))
+    assert (found.in_view_s is not None) is seen
 
 
 def test_farther_away_than_eight_metres_nobody_counts() -> None:
-    observer = IntrusionObserver(RIG)
-    observer.tick(step(1.0, 14.0, (0.0, 8.1, 0.0)))
-    assert observer.summary().in_view_s is None  # type: ignore[union-attr]
-    observer.tick(step(2.0, 14.0, (0.0, 7.9, 0.0)))
-    assert observer.summary().in_view_s == 2.0  # type: ignore[union-attr]
+    far = step(1.0, 14.0, (0.0, 8.1, 0.0))
+    assert seen_after(far).in_view_s is None
+    assert seen_after(far, step(2.0, 14.0, (0.0, 7.9, 0.0))).in_view_s == 2.0
 
 
 @pytest.mark.parametrize(("height", "avoidable"), [(3.3, True), (3.1, False)])
 def test_who_is_seen_too_late_cannot_be_avoided(height: float, avoidable: bool) -> None:
     """2 m, and 0.3 s at 2 m/s, and 0.32 m to brake, and legs of 0.3 m."""
-    observer = IntrusionObserver(RIG)
-    observer.tick(step(1.0, height - 0.05, (0, 1, 0)))
-    assert observer.summary().avoidable is avoidable  # type: ignore[union-attr]
-    unseen = IntrusionObserver(RIG)
-    unseen.tick(step(1.0, 3.3, (9, 0, 0)))
-    assert unseen.summary().avoidable is False  # type: ignore[union-attr]
+    assert seen_after(step(1.0, height - 0.05, (0, 1, 0))).avoidable is avoidable
+    assert seen_after(step(1.0, 3.3, (9, 0, 0))).avoidable is False
 
 
 def test_who_stands_on_a_hill_far_from_the_origin_is_below_by_the_difference() -> None:
-    observer = IntrusionObserver(RIG)
-    observer.tick(step(3.0, 25.3, (-40, 30, 15), above=(-40.0, 28.0)))
-    found = observer.summary()
-    assert found is not None and found.in_view_height_m == pytest.approx(10.0)
+    found = seen_after(step(3.0, 25.3, (-40, 30, 15), above=(-40.0, 28.0)))
+    assert found.in_view_height_m == pytest.approx(10.0)

@@ -3,7 +3,6 @@
 import dataclasses
 import gc
 import weakref
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -16,13 +15,13 @@ from touchdown.experiments.flight.referee import Referee, TruthLookup, stands_on
 from touchdown.experiments.io.result_parts import Landing
 from touchdown.landing.api import Phase
 from touchdown.scenes.api import VEHICLE_BODY, MovingBody, Scene
-from touchdown.scenes.compose import load_scene
 from touchdown.scenes.truth import static_surface
 from touchdown.sim.airframe.contacts import ContactSensor
 from touchdown.sim.api import Contact
 from touchdown.sim.frames import Pose, so3_exp
 
 from support.flight_fakes import LEG_ON_LAWN, make_estimate, make_truth, make_view
+from support.places import scene_on_lawn
 
 SAFE_LAWN = SimpleNamespace(
     slope_deg=1.0,
@@ -63,17 +62,19 @@ def judge(
     )
 
 
-def fly_to_descent(referee: Referee) -> None:
+def descending(**changes: Any) -> Referee:
+    """A referee of a flight as far as 1 m above the ground."""
+    referee = make_referee(**changes)
     assert judge(referee, 0.0, [0, 0, 0.3], Phase.INIT, contacts=LEG_ON_LAWN) is None
     assert judge(referee, 1.0, [0, 0, 5.0], Phase.TAKEOFF) is None
     assert judge(referee, 10.0, [0, 0, 30.0], Phase.SURVEY, estimate=[0.1, 0, 30]) is None
     assert judge(referee, 46.0, [0, 0, 30.0], Phase.SELECT, estimate=[9.0, 0, 30]) is None
     assert judge(referee, 60.0, [5, 6, 1.0], Phase.DESCEND) is None
+    return referee
 
 
 def test_the_error_of_the_estimate_is_kept_at_commit_and_at_contact() -> None:
-    referee = make_referee()
-    fly_to_descent(referee)
+    referee = descending()
     site = {"committed_site_world": np.array([5.0, 6.0, 0.0])}
     steps = ((61.0, 0.9, 0.4, ()), (62.0, 0.5, 0.7, ()),
              (63.0, 0.3, 0.2, LEG_ON_LAWN), (64.0, 0.3, 0.6, LEG_ON_LAWN))  # fmt: skip
@@ -87,8 +88,7 @@ def test_the_error_of_the_estimate_is_kept_at_commit_and_at_contact() -> None:
 
 def test_a_safe_landing() -> None:
     ended = []
-    referee = make_referee(on_survey_end=lambda: ended.append(True), commanded_xy_m=(14.0, -33.5))
-    fly_to_descent(referee)
+    referee = descending(on_survey_end=lambda: ended.append(True), commanded_xy_m=(14.0, -33.5))
     assert referee.result(Outcome.ABORTED).landing is None
     site = {"committed_site_world": np.array([5.0, 6.1, 0.0])}
     landed = [
@@ -110,8 +110,7 @@ def test_a_safe_landing() -> None:
     (2.9, False, "somebody is 2.9 m away: not safe"), (3.1, True, ""),
 ])  # fmt: skip
 def test_nobody_may_stand_beside_a_touchdown(away_m: float, safe: bool, reason: str) -> None:
-    referee = make_referee()
-    fly_to_descent(referee)
+    referee = descending()
     people = np.array([[5.0 + away_m, 6.0, 0.0], [50.0, 0.0, 0.0]])
     for time_s in (61.0, 61.2):  # who comes closer after the first contact does not count
         judge(referee, time_s, [5, 6, 0.3], Phase.DONE, contacts=LEG_ON_LAWN, living_world=people)
@@ -131,8 +130,7 @@ def test_the_verdict_on_the_ground_is_that_of_the_landing(
     changes: dict[str, Any], safe: bool, geometry: bool, by_class: bool
 ) -> None:
     verdict = SimpleNamespace(**(vars(SAFE_LAWN) | changes))
-    referee = make_referee(ground=ground(verdict=verdict))
-    fly_to_descent(referee)
+    referee = descending(ground=ground(verdict=verdict))
     judge(referee, 61.0, [5, 6, 0.3], Phase.DONE, contacts=LEG_ON_LAWN)
     landing = referee.result(Outcome.LANDED).landing
     assert (landing.safe, landing.safe_geometry, landing.safe_class) == (safe, geometry, by_class)
@@ -140,8 +138,7 @@ def test_the_verdict_on_the_ground_is_that_of_the_landing(
 
 
 def test_landed_is_who_rests_on_the_ground_for_half_a_second() -> None:
-    referee = make_referee()
-    fly_to_descent(referee)
+    referee = descending()
     sliding = {"velocity_world": np.array([0.1, 0.0, 0.0])}
     steps = ((61.0, LEG_ON_LAWN, {}), (61.4, LEG_ON_LAWN, sliding), (61.6, LEG_ON_LAWN, {}),
              (62.0, (), {}), (62.2, LEG_ON_LAWN, {}), (62.6, LEG_ON_LAWN, {}),
@@ -193,8 +190,7 @@ def test_a_landing_off_the_truth_map_is_never_safe(
     gaps: Any, largest: float | None, agrees: bool | None, reason: str
 ) -> None:
     """The gap at the first contact or at rest, whichever is larger."""
-    referee = make_referee(ground=ground(*gaps))
-    fly_to_descent(referee)
+    referee = descending(ground=ground(*gaps))
     for time_s in (61.0, 61.2, 61.6):
         judge(referee, time_s, [5, 6, 0.3], Phase.DONE, contacts=LEG_ON_LAWN)
     result = referee.result(Outcome.LANDED)
@@ -211,8 +207,7 @@ def test_a_landing_off_the_truth_map_is_never_safe(
     [({"no_site": True}, Outcome.NO_SITE), ({"aborted": True}, Outcome.ABORTED)],
 )
 def test_honest_aborts(flags: dict[str, bool], expected: Outcome) -> None:
-    referee = make_referee()
-    fly_to_descent(referee)
+    referee = descending()
     judge(referee, 60.5, [5, 6, 1.0], Phase.RETURN, view=flags | {"note": "no place"})
     contact = {"contacts": LEG_ON_LAWN, "view": flags | {"note": "motors off"}}
     assert judge(referee, 61.0, [0, 0, 0.3], Phase.DONE, **contact) is None
@@ -225,8 +220,7 @@ def test_honest_aborts(flags: dict[str, bool], expected: Outcome) -> None:
     Contact(part="leg", other="car", normal_force_n=1.0),
 ])  # fmt: skip
 def test_rotors_and_moving_things_must_not_be_touched(contact: Contact) -> None:
-    referee = make_referee()
-    fly_to_descent(referee)
+    referee = descending()
     turning = {"contacts": (contact,), "rotor_speed_radps": np.full(4, 60.0)}
     outcome = judge(referee, 61.0, [5, 6, 1.0], Phase.DESCEND, **turning)
     assert outcome is Outcome.COLLIDED and contact.other in referee.result(Outcome.COLLIDED).reason
@@ -239,8 +233,7 @@ def test_who_walks_into_a_vehicle_whose_rotors_stand_ends_its_flight(
     flags: dict[str, bool], expected: Outcome
 ) -> None:
     for rotors, outcome in ((60.0, Outcome.COLLIDED), (0.0, expected)):
-        referee = make_referee()
-        fly_to_descent(referee)
+        referee = descending()
         now = {"rotor_speed_radps": np.full(4, rotors), "view": flags}
         assert judge(referee, 61.0, [5, 6, 0.3], Phase.DESCEND, contacts=LEG_ON_LAWN, **now) is None
         walks_in = (*LEG_ON_LAWN, Contact(part="rotor", other="car", normal_force_n=1.0))
@@ -276,8 +269,7 @@ def test_a_survey_that_never_took_off_is_no_flight(survey_only: bool) -> None:
 
 
 def test_a_survey_that_was_given_up_is_not_completed() -> None:
-    referee = make_referee(survey_only=True)
-    fly_to_descent(referee)
+    referee = descending(survey_only=True)
     given_up = {"aborted": True, "note": "the position estimate stays unhealthy"}
     assert judge(referee, 61.0, [5, 6, 0.3], Phase.DONE, view=given_up) is Outcome.ABORTED
     assert "unhealthy" in referee.result(Outcome.ABORTED).reason
@@ -296,16 +288,6 @@ def test_survey_only_completes_without_touching_down() -> None:
 BOX = "<body><geom name='building' type='box' size='1 1 1' pos='6 0 1'/></body>"
 
 
-def place(folder: Path, things: str) -> Scene:
-    path = folder / "place.xml"
-    path.write_text(
-        f"<mujoco><worldbody><geom name='lawn' type='plane' size='40 40 1'/>{things}"
-        "</worldbody></mujoco>",
-        encoding="utf-8",
-    )
-    return load_scene(str(path), 0)
-
-
 def contacts_at(scene: Scene, xy: tuple[float, float], seconds: float = 2.0) -> tuple[Contact, ...]:
     """What the vehicle touches when it has been let down at ``xy`` from above everything."""
     model = scene.model
@@ -319,10 +301,9 @@ def contacts_at(scene: Scene, xy: tuple[float, float], seconds: float = 2.0) -> 
     return ContactSensor(model).read(data)
 
 
-def test_a_vehicle_stands_on_the_truth_map(tmp_path: Path) -> None:
+def test_a_vehicle_stands_on_the_truth_map() -> None:
     """On the lawn, on a box, on a mound and on a slope: within millimetres."""
-    scene = place(
-        tmp_path,
+    scene = scene_on_lawn(
         BOX + "<body pos='-8 0 0'><geom name='lawn_mound' type='ellipsoid' size='4 5 1'/></body>"
         "<geom name='field' type='box' size='4 4 1' pos='0 12 0' euler='8 5 30'/>",
     )
@@ -334,12 +315,10 @@ def test_a_vehicle_stands_on_the_truth_map(tmp_path: Path) -> None:
         assert gap is not None and abs(gap) < 0.005 and stands_on_truth(gap)
 
 
-def test_a_box_that_the_truth_map_misses_is_noticed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_box_that_the_truth_map_misses_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
     """The vehicle stands on a box of 2 m, or half on a slab of 8 cm, that the map does not see."""
     slab = "<geom name='road' type='box' size='1 1 0.04' pos='0 6.95 0.04'/>"
-    scene = place(tmp_path, BOX + slab)
+    scene = scene_on_lawn(BOX + slab)
     on_box, on_slab = contacts_at(scene, (6.0, 0.2)), contacts_at(scene, (0.0, 6.0))
     assert "road" in {contact.other for contact in on_slab}
     lawn = scene.model.geom("lawn").id
@@ -359,8 +338,8 @@ def test_a_box_that_the_truth_map_misses_is_noticed(
     assert (seen.height_agrees, seen.class_true, seen.safe) == (True, "building", False)
 
 
-def test_a_surface_is_kept_as_long_as_its_scene(tmp_path: Path) -> None:
-    scene = place(tmp_path, BOX)
+def test_a_surface_is_kept_as_long_as_its_scene() -> None:
+    scene = scene_on_lawn(BOX)
     assert static_surface.static_surface(scene) is static_surface.static_surface(scene)
     lit = dataclasses.replace(scene, light="night")
     assert static_surface.static_surface(lit) is static_surface.static_surface(scene)
@@ -386,9 +365,9 @@ def landing_at(
     return landing
 
 
-def test_what_is_seen_and_cannot_be_touched_is_noticed(tmp_path: Path) -> None:
+def test_what_is_seen_and_cannot_be_touched_is_noticed() -> None:
     ghost = "type='box' size='2 2 0.2' pos='6 0 0.2' contype='0' conaffinity='0'"
-    scene = place(tmp_path, f"<geom name='lawn_deck' {ghost}/>")
+    scene = scene_on_lawn(f"<geom name='lawn_deck' {ghost}/>")
     standing = contacts_at(scene, (0.0, 0.0))
     moved = tuple(
         Contact(part="leg", other=c.other, normal_force_n=1.0,
@@ -402,9 +381,9 @@ def leg(other: str, *point: float) -> Contact:
     return Contact(part="leg", other=other, normal_force_n=1.0, point_world=(*point,))  # type: ignore[arg-type]
 
 
-def test_edges_and_sides_count_as_touched_where_they_are(tmp_path: Path) -> None:
+def test_edges_and_sides_count_as_touched_where_they_are() -> None:
     """At an edge of the box every height from the lawn to its top; nothing else."""
-    lookup = TruthLookup(place(tmp_path, BOX))
+    lookup = TruthLookup(scene_on_lawn(BOX))
     assert lookup.height_gap_m((leg("building", 5.001, 0.0, 1.2),)) == 0.0
     assert lookup.height_gap_m((leg("building", 4.99, 0.0, 1.2),)) == 0.0
     assert lookup.height_gap_m((leg("building", 4.9, 0.0, 1.2),)) == pytest.approx(1.2, abs=1e-4)
@@ -413,13 +392,13 @@ def test_edges_and_sides_count_as_touched_where_they_are(tmp_path: Path) -> None
     assert far == np.inf and stands_on_truth(far) is False
 
 
-def test_only_legs_on_fixed_things_count(tmp_path: Path) -> None:
+def test_only_legs_on_fixed_things_count() -> None:
     """Not the wings, nor what hangs on a moving body, however deep."""
     cart = (
         "<body name='cart' mocap='true' pos='3 3 0'><body><geom name='cart_bed' type='box' "
         "size='1 1 0.5' pos='0 0 0.5'/></body></body>"
     )
-    scene = place(tmp_path, cart)
+    scene = scene_on_lawn(cart)
     path = MovingBody(body_name="cart", path_world=np.zeros((2, 3)), speed_mps=0.0, start_m=0.0)
     object.__setattr__(scene, "moving", (path,))
     lookup = TruthLookup(scene)

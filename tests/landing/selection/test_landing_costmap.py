@@ -14,22 +14,14 @@ from touchdown.landing.selection.costmap import (
     smoothness,
 )
 from touchdown.landing.selection.ground.elevation_raster import (
-    ElevationRaster,
     disc_maximum,
     fit_planes,
-    observed_raster,
     pooled,
 )
 
-from support.landing_support import make_grid
+from support.landing_support import make_grid, raster_of
 
 PARAMS = LandingParams()
-
-
-def raster_of(height: np.ndarray, **grid: object) -> ElevationRaster:
-    raster = observed_raster(make_grid(height, **({"sigma": 0.0} | grid)))  # type: ignore[arg-type]
-    assert raster is not None
-    return raster
 
 
 def test_planes_recover_slope_and_level_and_skip_unknown_windows() -> None:
@@ -95,7 +87,7 @@ def test_eq14_distance_to_the_only_edge() -> None:
 
 
 def test_eq18_distance_and_its_energy_threshold() -> None:
-    raster = raster_of(np.zeros((3, 50)))
+    raster = raster_of(make_grid(np.zeros((3, 50)), sigma=0.0))
     cost = distance(raster, np.array([0.1, 0.3, 0.0]), reach_m=6.05)
     assert cost[1, 0] == pytest.approx(1.0)
     assert cost[1, 15] == pytest.approx(0.5, abs=0.01)
@@ -120,7 +112,7 @@ def test_disc_maximum_reaches_exactly_its_radius() -> None:
 
 
 def test_pooling_keeps_mean_spread_and_top() -> None:
-    raster = raster_of(np.array([[0.0, 0.2], [0.2, np.nan]]))
+    raster = raster_of(make_grid(np.array([[0.0, 0.2], [0.2, np.nan]]), sigma=0.0))
     merged = pooled(raster, 2)
     assert merged.shape == (1, 1)
     assert merged.cell_m == pytest.approx(0.4)

@@ -13,12 +13,10 @@ from touchdown.landing.api import LandingParams
 from touchdown.landing.classification.scores import calibration
 from touchdown.landing.selection import probability as risk
 from touchdown.landing.selection.probability import NAMES, RiskFeatures
-from touchdown.sim.frames import Pose
 
-from support.landing_support import make_estimate, make_grid, select, view_of
+from support.landing_support import ABOVE, make_grid, rising, select, view_of
 
 PARAMS = LandingParams()
-ABOVE = make_estimate(0, Pose(np.eye(3), np.array([8.0, 8.0, 30.0])))
 
 
 def features_at(height: np.ndarray, spot: tuple[int, int]) -> dict[str, float]:
@@ -27,8 +25,7 @@ def features_at(height: np.ndarray, spot: tuple[int, int]) -> dict[str, float]:
 
 
 def test_features_are_shares_of_the_limits() -> None:
-    _, x = np.mgrid[0:80, 0:80] * 0.2
-    slope = features_at(np.tan(np.deg2rad(3.0)) * x, (40, 40))
+    slope = features_at(rising(3.0), (40, 40))
     assert slope["slope"] == pytest.approx(3.0 / 5.0, abs=1e-3)
     # Three cells of 0.2 m: a rise of 0.4 m times tan 3 deg.
     assert slope["step"] == pytest.approx(0.4 * np.tan(np.deg2rad(3.0)) / 0.10, abs=1e-3)
@@ -90,8 +87,7 @@ def test_all_selectors_land_on_the_good_half_and_an_emergency_takes_the_least_ba
         assert site.accepted and site.reason.startswith("landable")
         assert all(o.accepted or o.reason.startswith("refused") for o in others)
         assert site.position_odom[0] > 9.0
-    _, x = np.mgrid[0:80, 0:80] * 0.2
-    steep = view_of(make_grid(np.tan(np.deg2rad(7.0)) * x))
+    steep = view_of(make_grid(rising(7.0)))
     refused = select(steep, ABOVE, PARAMS)
     assert not any(site.accepted for site in refused.candidates)
     forced = select(steep, ABOVE, PARAMS, emergency=True)

@@ -9,16 +9,21 @@ from numpy.typing import NDArray
 from touchdown.estimator.api import GridMap
 from touchdown.landing.api import LandingParams
 from touchdown.landing.mission.site_recheck import ground_under, recheck_site
-from touchdown.landing.selection.ground.elevation_raster import observed_raster
 from touchdown.landing.selection.ground.plants import standing_plants, without_plants
-from touchdown.sim.frames import Pose
 from touchdown.sim.typing import Array
 
-from support.landing_support import grid_of_returns, make_estimate, make_grid, select, view_of
+from support.landing_support import (
+    ABOVE,
+    grid_of_returns,
+    make_grid,
+    raster_of,
+    rising,
+    select,
+    view_of,
+)
 
 PARAMS = LandingParams()
 GROUND = PARAMS.ground
-ABOVE = make_estimate(0, Pose(np.eye(3), np.array([8.0, 8.0, 30.0])))
 RETURNS = 40
 
 
@@ -45,11 +50,9 @@ def _allowed(grid: GridMap) -> NDArray[np.bool_]:
 
 
 def test_meadow_is_landed_in_and_its_ground_is_known_to_two_centimetres() -> None:
-    _, x = np.mgrid[0:80, 0:80] * 0.2
-    slope = np.tan(np.deg2rad(2.0)) * x
+    slope = rising(2.0)
     grid = _map(slope, _flat(0.25))
-    raster = observed_raster(grid)
-    assert raster is not None
+    raster = raster_of(grid)
     assert np.median(grid.height_m - slope) > 0.05
     bare = without_plants(raster, standing_plants(raster, GROUND), GROUND)
     error = bare.height - slope
@@ -59,8 +62,7 @@ def test_meadow_is_landed_in_and_its_ground_is_known_to_two_centimetres() -> Non
 
 
 def test_bare_ground_stays_to_the_bit() -> None:
-    raster = observed_raster(make_grid(_flat()))
-    assert raster is not None
+    raster = raster_of(make_grid(_flat()))
     assert without_plants(raster, standing_plants(raster, GROUND), GROUND) is raster
 
 
@@ -102,8 +104,7 @@ def test_low_wall_is_no_clump_although_its_edges_spread() -> None:
     ground[:, 41] = 0.2
     cover[:, 40], cover[:, 42] = 0.2, 0.2
     assert not _allowed(_map(ground, cover))[:, 37:46].any()
-    raster = observed_raster(_map(ground, cover))
-    assert raster is not None
+    raster = raster_of(_map(ground, cover))
     for fill in (False, True):
         assert not standing_plants(raster, GROUND, fill_gaps=fill)[:, 41].any()
 
@@ -133,8 +134,7 @@ def test_stake_in_a_wide_stand_is_seen_wherever_the_cells_lie(row: int) -> None:
 
 
 def test_plants_without_sure_ground_stay_objects() -> None:
-    raster = observed_raster(_map(_flat(), _flat(0.25)))
-    assert raster is not None
+    raster = raster_of(_map(_flat(), _flat(0.25)))
     plants = standing_plants(raster, GROUND)
     assert without_plants(raster, plants, GROUND).high[40, 40] < 0.1 < raster.high[40, 40]
     unsure = dataclasses.replace(

@@ -11,11 +11,7 @@ from touchdown.landing.api import Candidate, LandingParams, Selection
 from touchdown.landing.mission.site_recheck import recheck_site
 from touchdown.landing.selection.clustering import Clusters
 from touchdown.landing.selection.costmap import colour_edges, flatness_of
-from touchdown.landing.selection.ground.elevation_raster import (
-    ElevationRaster,
-    observed_raster,
-    pooled,
-)
+from touchdown.landing.selection.ground.elevation_raster import pooled
 from touchdown.landing.selection.ground.landable import Defect, LandableMap, assess, ground_planes
 from touchdown.landing.selection.ground.traffic import surface_of
 from touchdown.landing.selection.probability import NAMES, RiskFeatures, probability, risk_features
@@ -24,26 +20,17 @@ from touchdown.landing.selection.selector import (
     _shortlist,
     check_site,
 )
-from touchdown.sim.frames import Pose
 from touchdown.sim.typing import Array
 
-from support.landing_support import make_estimate, make_grid, select, view_of
+from support.landing_support import ABOVE, make_grid, raster_of, rising, select, view_of
 
 PARAMS = LandingParams()
-ABOVE = make_estimate(0, Pose(np.eye(3), np.array([8.0, 8.0, 30.0])))
 SPOT = (40, 40)
 
 
 def level(slope_deg: float = 0.0, **more: Any) -> GridMap:
     """16 x 16 m without noise."""
-    _, x = np.mgrid[0:80, 0:80] * 0.2
-    return make_grid(np.tan(np.deg2rad(slope_deg)) * x, sigma=0.0, **more)
-
-
-def raster_of(grid: GridMap) -> ElevationRaster:
-    raster = observed_raster(grid)
-    assert raster is not None
-    return raster
+    return make_grid(rising(slope_deg), sigma=0.0, **more)
 
 
 def judged(grid: GridMap, margin_m: float = 0.35) -> LandableMap:
@@ -338,8 +325,7 @@ def test_the_recheck_moves_no_farther_than_it_must() -> None:
 
 @pytest.mark.parametrize(("slope_deg", "taken"), [(4.0, True), (6.0, False)])
 def test_the_recheck_checks_the_slope(slope_deg: float, taken: bool) -> None:
-    _, x = np.mgrid[0:160, 0:160] * 0.05
-    grid = fine(np.tan(np.deg2rad(slope_deg)) * x)
+    grid = fine(rising(slope_deg, 160, 0.05))
     params = dataclasses.replace(PARAMS, slope_margin_deg=-20.0)
     look = recheck_site(view_of(level(), grid), SITE, 1.0, params)
     assert (look.position_odom is not None) is taken

@@ -21,17 +21,15 @@ from touchdown.landing.selection.selector import check_site
 from touchdown.sim.frames import Pose
 from touchdown.sim.typing import Array
 
-from support.landing_support import make_estimate, make_grid, select, view_of
+from support.landing_support import ABOVE, make_estimate, make_grid, rising, select, view_of
 
-ABOVE = make_estimate(0, Pose(np.eye(3), np.array([8.0, 8.0, 30.0])))
 FAR = make_estimate(0, Pose(np.eye(3), np.array([-30.0, 8.0, 30.0])))
 SIDE = 160
 
 
 def _ground(slope_deg: float = 0.0) -> Array:
     """32 x 32 m that rises to the east."""
-    _, x = np.mgrid[0:SIDE, 0:SIDE] * 0.2
-    return np.tan(np.deg2rad(slope_deg)) * x
+    return rising(slope_deg, SIDE)
 
 
 def _sites(grid: Any, seen: dict[str, Any] | None = None, **params: Any) -> list[Candidate]:
