@@ -3,6 +3,7 @@
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 
@@ -128,8 +129,6 @@ def fisheye_of(lens: Lens) -> bool:
 
 @pytest.mark.parametrize("fisheye", [False, True])
 def test_a_rectified_pair_has_points_in_one_row(fisheye: bool) -> None:
-    import cv2
-
     left = Lens(
         intrinsics=CameraIntrinsics(
             **LENS,

@@ -34,6 +34,12 @@ def run_quick(out: Path, **options: Any) -> Reproduction:
     return reproduce.reproduce(out, quick=True, jobs=1, **options)
 
 
+def run_photographs(out: Path, *photographs: str) -> Reproduction:
+    """The whole edition of the part of photographs and of that of the speed."""
+    skip = [name for name in USUAL if name != "speed"]
+    return reproduce.reproduce(out, quick=False, jobs=1, skip=skip, photographs=list(photographs))
+
+
 def test_every_item_of_the_paper_has_one_part() -> None:
     shown = [item for part in PARTS for item in part.shows]
     assert sorted(shown) == sorted(item.name for item in ITEMS)
@@ -164,17 +170,11 @@ def test_trained_networks_are_kept(world: World, tmp_path: Path) -> None:
 def test_photographs_train_every_network_until_it_has_converged(
     world: World, tmp_path: Path
 ) -> None:
-    skip = [name for name in USUAL if name != "speed"]
     seeds = {"": (0.80, 0.70), "-1": (0.82, 0.70), "-2": (0.84, 0.70)}
     for end, (with_block, without) in seeds.items():
-        world.top1 |= {
-            f"resnet50_cbam-d_land{end}": with_block,
-            f"resnet50-d_land{end}": without,
-        }
+        world.top1 |= {f"resnet50_cbam-d_land{end}": with_block, f"resnet50-d_land{end}": without}
     world.course = lambda epoch: 0.01 * min(epoch, 64)
-    done = reproduce.reproduce(
-        tmp_path, quick=False, jobs=1, skip=skip, photographs=["ucmerced=/pictures"]
-    )
+    done = run_photographs(tmp_path, "ucmerced=/pictures")
     state = done.results["photographs"]
     assert not state.error and not state.why
     assert state.figures["size"]["photographs"] == ["ucmerced=/pictures"]
@@ -200,8 +200,7 @@ def test_every_network_of_every_edition_can_see_its_images(tmp_path: Path) -> No
 @pytest.mark.usefixtures("no_report")
 def test_a_network_that_still_improves_has_not_converged(world: World, tmp_path: Path) -> None:
     world.course = lambda epoch: 0.01 * epoch
-    skip = [name for name in USUAL if name != "speed"]
-    done = reproduce.reproduce(tmp_path, quick=False, jobs=1, skip=skip, photographs=["x"])
+    done = run_photographs(tmp_path, "x")
     assert done.results["photographs"].why.startswith("not converged: resnext50, d_scene; ")
 
 
@@ -212,8 +211,7 @@ def test_patience_that_ends_while_a_network_learns_is_no_convergence(
 ) -> None:
     world.ended = 40
     world.loss = lambda epoch: 1.0 - fall * (epoch >= 32)  # the last tenth of 80 epochs
-    skip = [name for name in USUAL if name != "speed"]
-    done = reproduce.reproduce(tmp_path, quick=False, jobs=1, skip=skip, photographs=["x"])
+    done = run_photographs(tmp_path, "x")
     assert ("not converged" in done.results["photographs"].why) is not converged
 
 
@@ -228,9 +226,8 @@ def test_patience_that_ends_while_a_network_learns_is_no_convergence(
     ),
 ])  # fmt: skip
 def test_usage_errors_are_one_line(
-    world: World, tmp_path: Path, says: Says, arguments: list[str],
-    message: str,
-) -> None:  # fmt: skip
+    world: World, tmp_path: Path, says: Says, arguments: list[str], message: str
+) -> None:
     (tmp_path / "UNRELATED").mkdir()
     (tmp_path / "UNRELATED" / "file").write_text("mine")
     command = [
