@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from touchdown.sim.api import WindParams, WorldParams
+from touchdown.sim.api import Command, WindParams, WorldParams
 from touchdown.sim.wakes import Obstacles, Wakes, _table, mean_in_wake, obstacles
 from touchdown.sim.wind import Wind
 from touchdown.sim.world import MujocoWorld
@@ -119,8 +119,6 @@ def test_wakes_are_a_switch_and_slow_the_air_of_the_world() -> None:
         world = MujocoWorld(scene, params, 0)
         lee = found.centres_xy_m[wall] + [np.abs(found.axes_xy[wall, :, 0]).sum() + 6.0, 0.0]
         obs = world.start_in_air(np.array([*lee, 3.5]), 0.0)
-        from touchdown.sim.api import Command
-
         world.step(Command(rotor_speed_radps=np.full(4, 398.0)))
         speeds[on] = float(world.truth().wind_world[0])
         assert obs.tick == 0
@@ -131,8 +129,6 @@ def test_wakes_are_a_switch_and_slow_the_air_of_the_world() -> None:
 
 
 def test_rotational_gusts_turn_the_vehicle() -> None:
-    from touchdown.sim.api import Command
-
     rates = {}
     for on in (False, True):
         params = WorldParams(wind=WindParams(mean_kmh=36.0, direction_deg=0.0, rotational=on))

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from touchdown.experiments.io.images import write_png
 from touchdown.landing.api import Candidate, GroundPrediction
 from touchdown.landing.classification.decision import Limits
-from touchdown.landing.classification.labels import D_LAND
+from touchdown.landing.classification.labels import D_LAND, SCHEMES
 from touchdown.landing.classification.weights import INPUT, OUTPUT, NetworkFacts, write_network
 from touchdown.sim.api import CameraImage, SensorRig
 from touchdown.sim.frames import Pose
@@ -118,8 +118,6 @@ def write_colour_network(
     green and blue."""
     import onnx
     from onnx import TensorProto, helper, numpy_helper
-
-    from touchdown.landing.classification.labels import SCHEMES
 
     classes = SCHEMES[labels]
     filters = np.zeros((len(classes), 3, 1, 1), np.float16)

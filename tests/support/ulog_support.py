@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pymap3d
+from scipy.spatial.transform import Rotation
 
 from touchdown.experiments.io.sensor_log_reader import SensorLogReader
 from touchdown.experiments.io.tum import Trajectory
@@ -31,8 +32,6 @@ BOOT_S = 40.0
 
 def write_ulog(run: Path, out: Path) -> Path:
     """IMU, GPS, barometer, magnetometer and poses of ``run`` in PX4's axes and units."""
-    from scipy.spatial.transform import Rotation
-
     rows: list[tuple[int, str, list[float]]] = []
 
     def put(time_s: float, topic: str, *values: float) -> None:

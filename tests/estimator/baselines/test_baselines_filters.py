@@ -266,12 +266,9 @@ def _observations(seconds: float, seed: int) -> tuple[SensorRig, list[Observatio
     late: dict[int, GpsFix] = {}
     seen, errors = [], []
     for tick in range(3, round(seconds * HZ), 3):
-        imu = ImuSample(
-            tick=tick,
-            time_s=tick / HZ,
-            angular_velocity=3e-3 * rng.standard_normal(3),
-            specific_force=np.array([0.0, 0.0, 9.81]) + 2e-2 * rng.standard_normal(3),
-        )
+        rate = 3e-3 * rng.standard_normal(3)
+        force = np.array([0.0, 0.0, 9.81]) + 2e-2 * rng.standard_normal(3)
+        imu = ImuSample(tick=tick, time_s=tick / HZ, angular_velocity=rate, specific_force=force)
         messages: dict[str, Any] = {"imu": (imu,)}
         if tick % 120 == 0:
             error = wander.step()

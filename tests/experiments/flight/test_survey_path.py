@@ -12,7 +12,7 @@ from touchdown.experiments.errors import UsageError
 from touchdown.experiments.export.flown_run import ExportOptions
 from touchdown.experiments.export.run import export
 from touchdown.experiments.flight.survey_path import with_path
-from touchdown.experiments.io.flight_plan import FlightPlan, plan_of
+from touchdown.experiments.io.flight_plan import FlightPlan, plan_of, read_path
 from touchdown.scenes.api import Scene
 
 from support.lidar_support import make_scene
@@ -66,8 +66,6 @@ def test_a_run_is_exported_as_a_plan(tmp_path: Path) -> None:
     done = export(run, "plan", None, ExportOptions())
     export(run, "plan", None, ExportOptions())  # replaces its own
     assert done.counts == {"waypoints": 2}
-    from touchdown.experiments.io.flight_plan import read_path
-
     plan = read_path(done.out, 30.0, 20.0, None)
     np.testing.assert_allclose(plan.waypoints_m, [[0, 0, 18], [0, 40, 18]], atol=1e-3)
     assert plan.land_m == pytest.approx((0.0, 20.0), abs=1e-3)

@@ -95,10 +95,7 @@ def test_a_setpoint_has_feed_forward_and_a_limit_on_thrust_is_an_acceleration() 
     assert (message.vx, message.vy, message.vz) == (0.2, 0.1, -0.3)
     assert (message.afx, message.afy, message.afz) == (0.5, 0.4, -0.6)
     assert (message.yaw, message.yaw_rate) == pytest.approx((0.5 * np.pi, -0.1))
-    limited = Setpoint(
-        position_odom=wanted.position_odom, velocity_odom=wanted.velocity_odom,
-        acceleration_odom=wanted.acceleration_odom, yaw_odom=0.0, thrust_limit=0.4,
-    )  # fmt: skip
+    limited = replace(wanted, yaw_rate=0.0, thrust_limit=0.4)
     message = Messages(RIG).setpoint(limited, 1.0, np.zeros(3))
     assert message.type_mask == 4 + 32 and message.afz == pytest.approx(0.6 * 9.81)
 

@@ -1,6 +1,7 @@
 """Names of outside in everything that is printed and written: literal, and nothing steers a
 terminal, a page or a Markdown reader."""
 
+import io
 import json
 import re
 import sys
@@ -10,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from rich.table import Table
 
 from touchdown.experiments import terminal
 from touchdown.experiments.cli import main as cli
@@ -82,8 +84,6 @@ def test_markdown_of_a_cell_and_of_code() -> None:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_console_prints_names_literally(name: str, capsys: pytest.CaptureFixture[str]) -> None:
-    from rich.table import Table
-
     console = terminal.make_console()
     table = Table(title=name)
     table.add_column(name)
@@ -102,8 +102,6 @@ def test_stdout_without_the_characters(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsysbinary: Any
 ) -> None:
     """A terminal of Latin-1 gets escapes, not a traceback."""
-    import io
-
     write_run(tmp_path, "é地", "m", 0)
     out = io.TextIOWrapper(io.BytesIO(), encoding="latin-1")
     monkeypatch.setattr(sys, "stdout", out)

@@ -2,49 +2,49 @@
 
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 
 from support.labelled_images_support import coloured
 
 
-def test_variations_keep_the_kind_of_picture(torch: Any) -> None:
-    from touchdown.landing.classification.learning.augment import as_input, augmented
+@pytest.fixture
+def augment(torch: Any) -> Any:
+    from touchdown.landing.classification.learning import augment
 
-    images = as_input(torch.from_numpy(coloured(12, 2).images))
-    results = [augmented(images, torch.Generator().manual_seed(s)) for s in (1, 1, 2)]
+    return augment
+
+
+def test_variations_keep_the_kind_of_picture(torch: Any, augment: Any) -> None:
+    images = augment.as_input(torch.from_numpy(coloured(12, 2).images))
+    results = [augment.augmented(images, torch.Generator().manual_seed(s)) for s in (1, 1, 2)]
     assert results[0].shape == images.shape
     assert float(results[0].min()) >= 0.0 and float(results[0].max()) <= 1.0
     assert bool((results[0] == results[1]).all()) and bool((results[0] != results[2]).any())
 
 
-def test_lines_are_painted_on_a_share_of_the_pictures(torch: Any) -> None:
-    from touchdown.landing.classification.learning.augment import augmented, marked
-
+def test_lines_are_painted_on_a_share_of_the_pictures(torch: Any, augment: Any) -> None:
     plain = torch.full((400, 3, 48, 48), 0.3)
-    painted = marked(plain, torch.Generator().manual_seed(5), 0.25)
+    painted = augment.marked(plain, torch.Generator().manual_seed(5), 0.25)
     changed = ((painted - plain).abs().amax(dim=1) > 0.02).float().mean(dim=(1, 2))
     count = int((changed > 0.0).sum())
     assert 70 <= count <= 130, "a quarter, four deviations of a binomial count to either side"
     some = changed[changed > 0.0]
     assert float(some.max()) < 0.5, "a line is at most a quarter as wide as its period, and an edge"
     assert float(some.mean()) > 0.01 and float(painted.min()) >= 0.0 and float(painted.max()) <= 1.0
-    assert torch.equal(marked(plain, torch.Generator().manual_seed(5), 0.0), plain)
+    assert torch.equal(augment.marked(plain, torch.Generator().manual_seed(5), 0.0), plain)
     without, none = (
-        augmented(plain[:4], torch.Generator().manual_seed(7), 1.0, *markings)
+        augment.augmented(plain[:4], torch.Generator().manual_seed(7), 1.0, *markings)
         for markings in ((), (0.0,))
     )
     assert torch.equal(without, none)
 
 
-def test_some_lines_are_the_outline_of_a_court(torch: Any) -> None:
+def test_some_lines_are_the_outline_of_a_court(torch: Any, augment: Any) -> None:
     """Only within an outline is there plain ground that reaches no edge of the image."""
-    import cv2
-
-    from touchdown.landing.classification.learning.augment import marked
-
     plain = torch.full((400, 3, 64, 64), 0.3)
-    painted = marked(plain, torch.Generator().manual_seed(5), 1.0)
+    painted = augment.marked(plain, torch.Generator().manual_seed(5), 1.0)
     bare = ((painted - plain).abs().amax(dim=1) < 0.02).numpy().astype(np.uint8)
     enclosed = 0
     for image in bare:
@@ -55,25 +55,23 @@ def test_some_lines_are_the_outline_of_a_court(torch: Any) -> None:
     assert 8 <= enclosed <= 80
 
 
-def test_lanes_over_lines_two_sets_of_which_one_is_as_likely_as_the_other(torch: Any) -> None:
+def test_lanes_over_lines_two_sets_of_which_one_is_as_likely_as_the_other(
+    torch: Any, augment: Any
+) -> None:
     """Of a fraction of 0.5 three quarters have one set at least, but for those that are too
     faint."""
-    from touchdown.landing.classification.learning.augment import augmented
-
     plain = torch.full((300, 3, 48, 48), 0.3)
-    painted = augmented(plain, torch.Generator().manual_seed(5), 0.0, 0.5)
+    painted = augment.augmented(plain, torch.Generator().manual_seed(5), 0.0, 0.5)
     fraction = float(((painted - plain).abs().amax(dim=(1, 2, 3)) > 0.02).float().mean())
     assert 0.6 < fraction <= 0.85
 
 
-def test_a_share_of_the_pictures_has_another_colour_but_plants(torch: Any) -> None:
-    from touchdown.landing.classification.learning.augment import colour_spreads, recoloured
-
-    spreads = colour_spreads(("lawn", "water", "road", "trees"))
+def test_a_share_of_the_pictures_has_another_colour_but_plants(torch: Any, augment: Any) -> None:
+    spreads = augment.colour_spreads(("lawn", "water", "road", "trees"))
     assert spreads.shape == (5, 4) and torch.equal(spreads[-1], spreads[2])
     labels = torch.arange(5).repeat_interleave(500) - 1
     plain = torch.full((2500, 3, 1, 1), 0.05)
-    given = recoloured(plain, spreads[labels], torch.Generator().manual_seed(5), 0.5)
+    given = augment.recoloured(plain, spreads[labels], torch.Generator().manual_seed(5), 0.5)
     logs = 2.2 * torch.log(given / plain)[:, :, 0, 0]  # of linear light
     changed = logs.abs().amax(dim=1) > 1e-4
     assert not changed[labels == 0].any() and not changed[labels == 3].any()
@@ -92,24 +90,22 @@ def test_a_share_of_the_pictures_has_another_colour_but_plants(torch: Any) -> No
         assert (float(found[1].min()) < -0.5) == (label == 1), "only water gets bluer"
 
 
-def test_a_picture_takes_on_the_colour_of_a_texture_and_keeps_its_shadows(torch: Any) -> None:
-    from touchdown.landing.classification.learning.augment import textured
-
+def test_a_picture_takes_on_the_colour_of_a_texture_and_keeps_its_shadows(
+    torch: Any, augment: Any
+) -> None:
     images = torch.full((2, 3, 8, 8), 0.4)
     images[1, :, :, :4] = 0.2
     images[1, :, :, 4:] = 0.6
     colour = torch.tensor([0.5, 0.3, 0.2])[:, None, None]
-    found = textured(images, colour.expand(2, 3, 8, 8), torch.Generator().manual_seed(1))
+    found = augment.textured(images, colour.expand(2, 3, 8, 8), torch.Generator().manual_seed(1))
     torch.testing.assert_close(found[0], colour.expand(3, 8, 8))
     torch.testing.assert_close(found[1, :, :, :4], 0.5 * colour.expand(3, 8, 4))
     torch.testing.assert_close(found[1, :, :, 4:], 1.5 * colour.expand(3, 8, 4))
     grain = torch.rand(2, 3, 8, 8, generator=torch.Generator().manual_seed(2))
-    assert float(textured(images, grain, torch.Generator().manual_seed(1))[0].std()) > 0.05
+    assert float(augment.textured(images, grain, torch.Generator().manual_seed(1))[0].std()) > 0.05
 
 
-def test_weather_falls_on_shares_of_the_pictures(torch: Any) -> None:
-    from touchdown.landing.classification.learning import augment
-
+def test_weather_falls_on_shares_of_the_pictures(torch: Any, augment: Any) -> None:
     plain = torch.full((400, 3, 32, 32), 0.4)
     changed = augment.weathered(plain, torch.Generator().manual_seed(5))
     assert float(changed.min()) >= 0.0 and float(changed.max()) <= 1.0
@@ -122,10 +118,8 @@ def test_weather_falls_on_shares_of_the_pictures(torch: Any) -> None:
     assert torch.equal(augment.weathered(plain, torch.Generator().manual_seed(5), 0.0), plain)
 
 
-def test_effects_of_weather_by_their_kind(torch: Any) -> None:
+def test_effects_of_weather_by_their_kind(torch: Any, augment: Any) -> None:
     """Haze loses contrast, wet ground light, coarse pictures detail, and snow is bright."""
-    from touchdown.landing.classification.learning import augment
-
     checks = (torch.arange(32) % 2).float()
     board = (0.2 + 0.4 * (checks[:, None] - checks).abs()).expand(8, 3, 32, 32).clone()
 

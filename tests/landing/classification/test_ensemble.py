@@ -10,7 +10,7 @@ from touchdown.landing.classification.decision import Limits, energies
 from touchdown.landing.classification.engine import OnnxClassifier
 from touchdown.landing.classification.labels import D_LAND
 from touchdown.landing.classification.scores import probabilities
-from touchdown.landing.classification.weights import NetworkFacts
+from touchdown.landing.classification.weights import NetworkFacts, write_network
 
 from support.ground_class_support import write_colour_network
 
@@ -70,8 +70,6 @@ def test_familiar_is_what_the_first_network_knows(both: OnnxClassifier) -> None:
 
 def test_networks_of_different_versions_of_onnx_are_refused(tmp_path: Path) -> None:
     import onnx
-
-    from touchdown.landing.classification.weights import write_network
 
     one, two = (write_colour_network(tmp_path / f"{number}.onnx") for number in range(2))
     model: Any = onnx.load(two)

@@ -18,8 +18,8 @@ from touchdown.sim.files import child
 from support.ground_class_support import write_colour_network
 from support.hostile_files import sparse
 
-pytest.importorskip("onnx")
-
+onnx = pytest.importorskip("onnx")
+TensorProto, helper, numpy_helper = onnx.TensorProto, onnx.helper, onnx.numpy_helper
 SIZE = 16
 FACTS = NetworkFacts(network="n", labels="d_land", image_size=SIZE, classes=D_LAND).properties()
 
@@ -29,9 +29,6 @@ def network(
     inputs: str = INPUT,
 ) -> Path:  # fmt: skip
     """An ONNX file of ``nodes`` from ``inputs`` (N, 3, 16, 16) to the scores."""
-    import onnx
-    from onnx import TensorProto, helper
-
     graph = helper.make_graph(
         nodes,
         "g",
@@ -39,9 +36,7 @@ def network(
         [helper.make_tensor_value_info(OUTPUT, TensorProto.FLOAT, None)],
         initial,
     )
-    model: onnx.ModelProto = helper.make_model(
-        graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8
-    )
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
     helper.set_model_props(model, FACTS if facts is None else facts)
     write_network(path, model.SerializeToString())
     return path
@@ -49,8 +44,6 @@ def network(
 
 def _mean(rows: int, columns: int, values: Any = None) -> tuple[list[Any], list[Any]]:
     """Nodes of a mean over the image and a matrix (rows, columns)."""
-    from onnx import helper, numpy_helper
-
     matrix = np.ones((rows, columns), np.float32) if values is None else values
     nodes = [
         helper.make_node("GlobalAveragePool", [INPUT], ["pooled"]),
@@ -90,8 +83,6 @@ def test_a_sound_network_of_this_kind_is_loaded(tmp_path: Path) -> None:
 
 
 def test_networks_of_other_shapes_are_refused(tmp_path: Path) -> None:
-    from onnx import helper
-
     refused(network(tmp_path / "a.onnx", *_mean(3, 5)), r"shape \(1, 5\), not \(1, 7\)")
     refused(network(tmp_path / "b.onnx", *_mean(9, 7)), "cannot be loaded|cannot classify 1 x")
     nan = np.full((3, 7), np.nan, np.float32)
@@ -113,8 +104,6 @@ def test_weights_outside_of_the_file_are_not_read(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Neither beside the file, nor in the current directory, nor anywhere else."""
-    from onnx import TensorProto
-
     monkeypatch.chdir(tmp_path)
     (tmp_path / "secret.bin").write_bytes(np.ones((3, 7), np.float32).tobytes())
     for place in ("secret.bin", f"../{tmp_path.name}/secret.bin", str(tmp_path / "secret.bin")):
@@ -132,8 +121,6 @@ def test_weights_outside_of_the_file_are_not_read(
 
 
 def test_weights_of_a_branch_outside_of_the_file_are_not_read(tmp_path: Path) -> None:
-    from onnx import TensorProto, helper, numpy_helper
-
     outside = TensorProto(name="matrix", data_type=TensorProto.FLOAT, dims=[3, 7])
     outside.data_location = TensorProto.EXTERNAL
     outside.external_data.add(key="location", value="secret.bin")
@@ -148,8 +135,6 @@ def test_weights_of_a_branch_outside_of_the_file_are_not_read(tmp_path: Path) ->
 
 
 def test_a_graph_that_fills_the_memory_is_given_up(tmp_path: Path) -> None:
-    from onnx import helper, numpy_helper
-
     nodes, initial = _mean(3, 7)
     shape = np.array([40_000, 40_000, 10], np.int64)
     nodes = [

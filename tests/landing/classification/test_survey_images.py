@@ -3,6 +3,7 @@
 import dataclasses
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 
@@ -53,8 +54,6 @@ def test_patch_shows_the_ground_around_a_site(yaw: float) -> None:
 
 def test_lens_distortion_is_removed() -> None:
     """OpenCV's own projection, with all five coefficients."""
-    import cv2
-
     camera = dataclasses.replace(
         small_rig().camera, distortion=np.array([-0.2, 0.05, 0.001, -0.002, 0.01])
     )
