@@ -11,13 +11,7 @@ import pytest
 
 from touchdown.scenes.api import CLASS_RGB, LAND_CLASSES, ImportOptions, Scene
 from touchdown.scenes.compose import load_scene
-from touchdown.scenes.importers.classes import (
-    Look,
-    class_of_words,
-    ground_class,
-    is_blue,
-    look_of,
-)
+from touchdown.scenes.importers.classes import Look, class_of_words, ground_class, is_blue, look_of
 from touchdown.scenes.truth.maps import judge_touchdown
 from touchdown.scenes.truth.static_surface import cast_points, class_ids
 

@@ -79,9 +79,7 @@ def test_options_of_its_file_are_dropped_without_a_word(
     assert not [str(one.message) for one in recwarn.list]
 
 
-def test_bodies_inside_are_one_with_it_and_the_origin_is_the_centre_of_mass(
-    tmp_path: Path,
-) -> None:
+def test_bodies_inside_are_one_with_it_and_the_origin_is_the_centre_of_mass(tmp_path: Path) -> None:
     part = '<body pos="0.2 0 0.1"><joint/><geom type="sphere" size="0.05" mass="2"/></body>'
     model = vehicle_spec(write(tmp_path, BODY + part)).compile()
     vehicle = vehicle_model(model, prefix="")

@@ -9,11 +9,7 @@ from touchdown.scenes.compose import VEHICLE_XML
 from touchdown.sim.airframe.battery import DRIVE_EFFICIENCY, Battery, PowerSystem
 from touchdown.sim.airframe.physics import prepare_physics, settle_on_ground
 from touchdown.sim.airframe.rotors import Rotors, ground_effect
-from touchdown.sim.airframe.vehicle import (
-    rotor_geometry,
-    sensor_mounts,
-    vehicle_model,
-)
+from touchdown.sim.airframe.vehicle import rotor_geometry, sensor_mounts, vehicle_model
 from touchdown.sim.api import AIR_DENSITY_KGPM3, GRAVITY_MPS2, VehicleModel
 from touchdown.sim.frames import matrix_from_quat_wxyz, rotation_from_yaw
 

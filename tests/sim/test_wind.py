@@ -6,12 +6,7 @@ from scipy import signal
 
 from touchdown.sim.api import WindParams
 from touchdown.sim.typing import Array
-from touchdown.sim.wind import (
-    REFERENCE_HEIGHT_M,
-    Wind,
-    _advance_pair,
-    dryden_scales,
-)
+from touchdown.sim.wind import REFERENCE_HEIGHT_M, Wind, _advance_pair, dryden_scales
 
 HEIGHT_M = 30.0
 AIRSPEED_MPS = 5.0

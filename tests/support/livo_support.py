@@ -14,12 +14,7 @@ from touchdown.estimator.filtering.imu_propagation import ImuBuffer, NavState
 from touchdown.estimator.filtering.landmark_depth import RecentReturns
 from touchdown.estimator.filtering.plane_map import PlaneMatches
 from touchdown.estimator.filtering.reprojection import MountedCamera
-from touchdown.estimator.livo.scan_update import (
-    PlaneEquations,
-    Returns,
-    ScanNoise,
-    plane_equations,
-)
+from touchdown.estimator.livo.scan_update import PlaneEquations, Returns, ScanNoise, plane_equations
 from touchdown.estimator.livo.visual import VisualFrontEnd
 from touchdown.sim.api import GRAVITY_MPS2, CameraIntrinsics, ImuParams
 from touchdown.sim.frames import BODY_FROM_DOWNWARD_OPTICAL, Pose, so3_exp

@@ -54,10 +54,7 @@ def setpoint(motors_on: bool) -> Setpoint:
 
 
 def rest(
-    pilot: Px4Autopilot,
-    steps: int,
-    motors_on: bool = False,
-    lost: range = range(0),
+    pilot: Px4Autopilot, steps: int, motors_on: bool = False, lost: range = range(0)
 ) -> list[str]:
     """Stands still for so many control steps; returns the events. In the steps ``lost`` the
     estimate is not healthy."""

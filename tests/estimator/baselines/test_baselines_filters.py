@@ -19,11 +19,7 @@ from touchdown.estimator.baselines.ground_flow import (
     pixels_of,
     solve_displacement,
 )
-from touchdown.estimator.baselines.navigator import (
-    EpochQueue,
-    Navigator,
-    field_azimuth,
-)
+from touchdown.estimator.baselines.navigator import EpochQueue, Navigator, field_azimuth
 from touchdown.estimator.baselines.stereo import GroundHeight, disparities, inverse_depths
 from touchdown.estimator.filtering.error_state import GYRO_SCALE, SHARED_DIM, STATE_DIM
 from touchdown.estimator.filtering.eskf import Eskf

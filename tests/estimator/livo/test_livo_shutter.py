@@ -13,13 +13,7 @@ from touchdown.estimator.filtering.online_calibration import exposed
 from touchdown.estimator.livo.patch_tracker import grey_levels
 from touchdown.sim.frames import Pose, so3_exp, so3_log
 
-from support.livo_support import (
-    CAMERA,
-    IMU_FROM_CAMERA,
-    add_keyframe,
-    front_end,
-    ground_returns,
-)
+from support.livo_support import CAMERA, IMU_FROM_CAMERA, add_keyframe, front_end, ground_returns
 
 SHUTTER = Shutter(0.015)
 ROWS = np.arange(CAMERA.height, dtype=float)

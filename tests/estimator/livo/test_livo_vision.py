@@ -31,13 +31,7 @@ from touchdown.estimator.livo.patch_tracker import grey_levels, track
 from touchdown.estimator.livo.visual import VisualReport
 from touchdown.sim.frames import BODY_FROM_DOWNWARD_OPTICAL, Pose, so3_exp, so3_log
 
-from support.livo_support import (
-    CAMERA,
-    IMU_FROM_CAMERA,
-    add_keyframe,
-    front_end,
-    ground_returns,
-)
+from support.livo_support import CAMERA, IMU_FROM_CAMERA, add_keyframe, front_end, ground_returns
 
 LENS = Pinhole.of(CAMERA)
 

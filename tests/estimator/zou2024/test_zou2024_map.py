@@ -20,14 +20,7 @@ from touchdown.estimator.zou2024.visual_map import LandmarkSet, MapKeyframe, Sig
 from touchdown.sim.frames import Pose, so3_exp
 
 from support.livo_flight import START_Z
-from support.zou2024_flight import (
-    IMU_FROM_CAMERA,
-    NOTHING,
-    RIG,
-    features_of,
-    image_from,
-    params,
-)
+from support.zou2024_flight import IMU_FROM_CAMERA, NOTHING, RIG, features_of, image_from, params
 
 NO_EDGES = np.zeros((120, 212), np.float32).copy
 

@@ -10,11 +10,7 @@ from touchdown.estimator.zou2024.bundle import reprojection_errors, solve_pnp
 from touchdown.estimator.zou2024.closures import Closures, Edge, PoseGraph, level_transform
 from touchdown.estimator.zou2024.feature_map import FeatureMap, Seen
 from touchdown.estimator.zou2024.place_recognition import MemoryLimits
-from touchdown.estimator.zou2024.registration import (
-    FeatureMaps,
-    ScanFeatures,
-    register_scan,
-)
+from touchdown.estimator.zou2024.registration import FeatureMaps, ScanFeatures, register_scan
 from touchdown.estimator.zou2024.visual_map import BRISK, SIFT, LandmarkDetector, match_near, spread
 from touchdown.sim.api import CameraIntrinsics
 from touchdown.sim.frames import Pose, rotation_from_yaw, so3_exp, so3_log

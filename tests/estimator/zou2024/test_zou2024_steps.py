@@ -30,12 +30,7 @@ from touchdown.estimator.zou2024.relative_pose import update_with_scan
 from touchdown.estimator.zou2024.structured_edges import GradientEdges
 from touchdown.sim.frames import Pose, so3_exp, so3_log
 
-from support.livo_flight import (
-    HZ,
-    START_Z,
-    error,
-    position_at,
-)
+from support.livo_flight import HZ, START_Z, error, position_at
 from support.livo_support import state_at
 from support.zou2024_flight import (
     FLIGHT,

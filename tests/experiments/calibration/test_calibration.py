@@ -23,10 +23,7 @@ from touchdown.experiments.calibration.chessboard import (
     camera_planes,
     fit_camera,
 )
-from touchdown.experiments.calibration.extrinsics import (
-    agreeing_views,
-    solve_extrinsics,
-)
+from touchdown.experiments.calibration.extrinsics import agreeing_views, solve_extrinsics
 from touchdown.sim.frames import Pose, so3_exp, so3_log
 from touchdown.sim.typing import Array
 

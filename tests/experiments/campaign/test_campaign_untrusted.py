@@ -210,10 +210,7 @@ def test_files_of_others_that_come_while_a_run_is_flown_stay(out: Path, plan: Pl
 
 def test_leavings_of_killed_campaigns_go(out: Path, plan: Plan) -> None:
     shutil.rmtree(out / "runs" / NAME)
-    left = [
-        out / ".partial" / "other-run.1" / "x",
-        out / "failed" / f".{NAME}.json.partial-1",
-    ]
+    left = [out / ".partial" / "other-run.1" / "x", out / "failed" / f".{NAME}.json.partial-1"]
     for path in left:
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text("")

@@ -126,10 +126,7 @@ def test_exit_code_follows_the_outcome(
     assert err == ""
 
 
-@pytest.mark.parametrize(
-    ("options", "code"),
-    [((), 2), (("--force",), 0), (("--log-sensors",), 0)],
-)
+@pytest.mark.parametrize(("options", "code"), [((), 2), (("--force",), 0), (("--log-sensors",), 0)])
 def test_a_sensor_log_is_not_replaced_by_a_run_without(
     options: tuple[str, ...], code: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
     run_cli: RunCli,

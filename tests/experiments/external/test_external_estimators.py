@@ -13,12 +13,7 @@ from touchdown.estimator.api import Estimate
 from touchdown.experiments.cli import main as cli
 from touchdown.experiments.config.loading import dump_config
 from touchdown.experiments.errors import ExternalPartError, UsageError
-from touchdown.experiments.external.conformance import (
-    TURN_RAD,
-    Step,
-    check_estimator,
-    twist,
-)
+from touchdown.experiments.external.conformance import TURN_RAD, Step, check_estimator, twist
 from touchdown.experiments.external.loading import code_now, external_builder, flown_code
 from touchdown.experiments.external.synthetic_stream import SyntheticStream, synthetic_rig
 from touchdown.experiments.external.wrapper import ExternalEstimator

@@ -16,12 +16,7 @@ from touchdown.experiments.config.loading import dump_config, load_config
 from touchdown.experiments.config.slots import SLOTS, other_parts, params_of
 from touchdown.experiments.errors import ExternalPartError, UsageError
 from touchdown.experiments.external.examination import RULES
-from touchdown.experiments.external.examine import (
-    examine,
-    setpoint_at,
-    textures,
-    true_estimate,
-)
+from touchdown.experiments.external.examine import examine, setpoint_at, textures, true_estimate
 from touchdown.experiments.external.loading import external_builder
 from touchdown.experiments.external.synthetic_descent import Box, Descent
 from touchdown.experiments.external.synthetic_stream import SyntheticStream, synthetic_rig

@@ -305,7 +305,7 @@ def test_a_vehicle_stands_on_the_truth_map() -> None:
     """On the lawn, on a box, on a mound and on a slope: within millimetres."""
     scene = scene_on_lawn(
         BOX + "<body pos='-8 0 0'><geom name='lawn_mound' type='ellipsoid' size='4 5 1'/></body>"
-        "<geom name='field' type='box' size='4 4 1' pos='0 12 0' euler='8 5 30'/>",
+        "<geom name='field' type='box' size='4 4 1' pos='0 12 0' euler='8 5 30'/>"
     )
     lookup = TruthLookup(scene)
     for xy in ((0.0, 0.0), (6.0, 0.2), (-8.3, 0.4), (0.0, 12.0)):

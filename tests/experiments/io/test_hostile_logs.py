@@ -12,11 +12,7 @@ from mcap.records import Chunk, Header
 
 from touchdown.experiments.errors import UsageError
 from touchdown.experiments.io import sensor_log_reader
-from touchdown.experiments.io.sensor_log_reader import (
-    DamagedError,
-    SensorLogReader,
-    unpack_image,
-)
+from touchdown.experiments.io.sensor_log_reader import DamagedError, SensorLogReader, unpack_image
 from touchdown.sim.api import SensorNeeds
 
 from support.hostile_files import png

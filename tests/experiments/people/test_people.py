@@ -70,9 +70,7 @@ def test_boxes_hold_those_who_are_in_the_picture(found: list[Labelled]) -> None:
     assert {kind.split()[0] for kind in kinds} <= {"person", "dog", "bicycle"}
 
 
-def test_images_know_their_scale_and_how_much_of_everybody_they_show(
-    found: list[Labelled],
-) -> None:
+def test_images_know_their_scale_and_how_much_of_everybody_they_show(found: list[Labelled]) -> None:
     parts = []
     for one in found:
         rows, cols = one.image.shape[:2]

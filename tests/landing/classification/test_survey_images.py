@@ -7,11 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from touchdown.landing.classification.survey_images import (
-    SurveyImages,
-    _ground_points,
-    brightened,
-)
+from touchdown.landing.classification.survey_images import SurveyImages, _ground_points, brightened
 from touchdown.sim.api import CameraImage
 from touchdown.sim.frames import Pose, rotation_from_yaw, so3_exp
 from touchdown.sim.geometry.lens import project

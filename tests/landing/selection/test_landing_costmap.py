@@ -13,11 +13,7 @@ from touchdown.landing.selection.costmap import (
     flatness_kernel,
     smoothness,
 )
-from touchdown.landing.selection.ground.elevation_raster import (
-    disc_maximum,
-    fit_planes,
-    pooled,
-)
+from touchdown.landing.selection.ground.elevation_raster import disc_maximum, fit_planes, pooled
 
 from support.landing_support import make_grid, raster_of
 

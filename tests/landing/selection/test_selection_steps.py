@@ -15,11 +15,7 @@ from touchdown.landing.selection.ground.elevation_raster import pooled
 from touchdown.landing.selection.ground.landable import Defect, LandableMap, assess, ground_planes
 from touchdown.landing.selection.ground.traffic import surface_of
 from touchdown.landing.selection.probability import NAMES, RiskFeatures, probability, risk_features
-from touchdown.landing.selection.selector import (
-    _best_spots,
-    _shortlist,
-    check_site,
-)
+from touchdown.landing.selection.selector import _best_spots, _shortlist, check_site
 from touchdown.sim.typing import Array
 
 from support.landing_support import ABOVE, make_grid, raster_of, rising, select, view_of
