@@ -1,4 +1,5 @@
-"""How soon a flight answers to an intruder: the time from his first sight to a changed setpoint.
+"""How soon a flight answers to an intruder: the time from his first sight to a changed setpoint,
+one that no longer sinks since the watch has seen something in the way.
 
 He is in view where a part of him lies in the camera's image, or where a scan has returns from him,
 less than 8 m beside a vehicle that descends or returns, its legs below the height from which it is
@@ -8,7 +9,7 @@ asked.
 
 import numpy as np
 
-from touchdown.experiments.io.result_parts import WATCH_RULE, Intrusion
+from touchdown.experiments.io.result_parts import Intrusion
 from touchdown.experiments.recording.recorder import StepRecord
 from touchdown.landing.api import Phase, Verdict
 from touchdown.sim.api import GRAVITY_MPS2, LidarScan, SensorRig, VehicleModel
@@ -24,6 +25,8 @@ _ROUND_M, _LOW_M, _HIGH_M, _RETURNS = 0.8, 0.2, 2.2, 6
 """returns of a scan from him: within a radius, between two heights, that many"""
 _KEPT = 400
 """control steps: two seconds, longer than a scan is under way"""
+_LEVEL_M = 1e-3
+"""by which a setpoint that holds its height may be lower than that of the step before"""
 _REACH_M, _REACT_S = 2.0, 0.3
 """height above which nobody reaches, and time that an answer takes"""
 
@@ -39,15 +42,19 @@ class IntrusionObserver:
         self._widest = float(np.linalg.norm(bearing(rig.camera, corners)[:, :2], axis=1).max())
         self._seen: tuple[float, float, float] | None = None
         self._answered_s: float | None = None
+        self._reference_z = np.inf
         self._sent = False
 
     def tick(self, step: StepRecord) -> None:
         """Takes one control step."""
         truth, watch = step.truth, step.lander_view.watch
-        if any(f" {WATCH_RULE}: " in text for text in step.lander_view.events):
-            self._answered_s = truth.time_s if self._answered_s is None else self._answered_s
-        elif self._seen is None and (watch is None or watch.verdict is Verdict.GO):
-            self._answered_s = None  # that interruption has ended before he came
+        before, self._reference_z = self._reference_z, float(step.lander_view.reference_world[2])
+        blocked = watch is not None and watch.verdict is not Verdict.GO
+        stays = self._reference_z > before - _LEVEL_M
+        if not blocked and self._seen is None:
+            self._answered_s = None  # an interruption has ended before he came
+        elif blocked and stays and self._answered_s is None:
+            self._answered_s = truth.time_s
         if not len(truth.intruders_world):
             return
         self._sent = True

@@ -34,12 +34,12 @@ def step(
     time_s: float,
     height: float,
     foot: Any,
-    *events: str,
+    verdict: Verdict = Verdict.GO,
+    *,
     sink: float = 2.0,
     scans: Any = (),
     phase: Phase = Phase.DESCEND,
     above: tuple[float, float] = (0.0, 0.0),
-    verdict: Verdict = Verdict.GO,
 ) -> Any:
     truth = SimpleNamespace(
         time_s=time_s, world_from_body=Pose(np.eye(3), np.array([*above, height])),
@@ -48,7 +48,7 @@ def step(
     )  # fmt: skip
     obs = SimpleNamespace(scans=scans)
     watch = SimpleNamespace(verdict=verdict)
-    view = SimpleNamespace(events=events, phase=phase, watch=watch)
+    view = SimpleNamespace(phase=phase, watch=watch, reference_world=np.array([*above, height]))
     return SimpleNamespace(truth=truth, obs=obs, lander_view=view)
 
 
@@ -67,9 +67,10 @@ def test_the_time_from_first_sight_to_the_answer() -> None:
         step(1.0, 20.3, (0, 0, 0)),  # too high to be watched
         step(2.0, 10.3, (30, 0, 0)),  # far aside
         step(2.5, 10.3, (0, 5, 0), phase=Phase.APPROACH),  # nothing to interrupt
-        step(3.0, 10.3, (0, 5, 0), "DESCEND wind_aloft: something else"),
-        step(3.4, 9.5, (0, 4, 0), "DESCEND site_not_clear: something moves"),
-        step(4.0, 9.0, (0, 3, 0), "DESCEND site_not_clear: something moves"),
+        step(3.0, 10.3, (0, 5, 0)),
+        step(3.2, 9.5, (0, 4, 0), Verdict.WAIT),  # it still sinks
+        step(3.4, 9.5, (0, 4, 0), Verdict.WAIT),
+        step(4.0, 9.5, (0, 3, 0), Verdict.WAIT),
     )
     assert (found.in_view_s, found.in_view_height_m) == (3.0, pytest.approx(10.0))
     assert (found.answered_s, found.reaction_s) == (3.4, pytest.approx(0.4))
@@ -78,9 +79,10 @@ def test_the_time_from_first_sight_to_the_answer() -> None:
 
 def test_an_answer_before_the_sight_takes_no_time_and_none_is_none() -> None:
     found = seen_after(
-        step(1.0, 3.3, None, "DESCEND site_not_clear: expected", verdict=Verdict.WAIT),
-        step(1.5, 3.3, (9, 0, 0), verdict=Verdict.WAIT),
-        step(2.0, 3.3, (0, 1, 0), verdict=Verdict.WAIT),
+        step(0.9, 3.3, None),
+        step(1.0, 3.3, None, Verdict.WAIT),
+        step(1.5, 3.3, (9, 0, 0), Verdict.WAIT),
+        step(2.0, 3.3, (0, 1, 0), Verdict.WAIT),
         step(3.0, 3.3, (0, 1, 0)),
     )
     assert (found.answered_s, found.reaction_s) == (1.0, 0.0)
@@ -89,10 +91,11 @@ def test_an_answer_before_the_sight_takes_no_time_and_none_is_none() -> None:
 
 def test_an_interruption_that_ended_before_the_sight_is_no_answer() -> None:
     found = seen_after(
-        step(1.0, 3.3, (9, 0, 0), "DESCEND site_not_clear: a bush"),
-        step(1.5, 3.3, (9, 0, 0)),
-        step(2.0, 3.3, (0, 1, 0)),
-        step(3.5, 3.3, (0, 1, 0), "DESCEND site_not_clear: something moves"),
+        step(0.9, 3.3, (9, 0, 0)),
+        step(1.0, 3.3, (9, 0, 0), Verdict.WAIT),
+        step(1.5, 3.2, (9, 0, 0)),
+        step(2.0, 3.1, (0, 1, 0)),
+        step(3.5, 3.1, (0, 1, 0), Verdict.WAIT),
     )
     assert (found.answered_s, found.reaction_s) == (3.5, 1.5)
 
