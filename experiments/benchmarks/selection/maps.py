@@ -255,7 +255,7 @@ def _safe_ground(scene: Scene, track_xy: Array) -> SafeGround:
     )
 
 
-def without_safe_ground(kept: KeptMap) -> MapView | None:
+def without_safe_ground(kept: KeptMap) -> KeptMap | None:
     """Returns the largest square that was seen and holds no safe ground, as a map of its own; None
     where that is less than 10 m wide."""
     grid = kept.map_view.coarse
@@ -271,7 +271,8 @@ def without_safe_ground(kept: KeptMap) -> MapView | None:
     if (2 * aside + 1) * grid.cell_m < _BARREN_M:
         return None
     coarse = _part(grid, middle - aside, middle + aside + 1)
-    return MapView(version=kept.map_view.version, coarse=coarse, fine=None)
+    view = MapView(version=kept.map_view.version, coarse=coarse, fine=None)
+    return dataclasses.replace(kept, map_view=view)
 
 
 def is_judged(truth: SafeGround, position: Array) -> bool:

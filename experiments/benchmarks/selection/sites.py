@@ -1,7 +1,6 @@
 """Benchmark of site selection without flights: the maps of surveys, judged by the true ground."""
 
 import contextlib
-import dataclasses
 import functools
 import tempfile
 import time
@@ -15,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
-from touchdown.estimator.api import GridMap
 from touchdown.experiments.benchmarks.processes import mapped
 from touchdown.experiments.benchmarks.selection.curves import Drawings, reliability, selector_curves
 from touchdown.experiments.benchmarks.selection.maps import (
@@ -37,7 +35,7 @@ from touchdown.experiments.errors import UsageError
 from touchdown.experiments.external.wrapper import ExternalSelector
 from touchdown.experiments.flight.slots import check_parts_available
 from touchdown.experiments.flight.wiring import check_scene_name
-from touchdown.landing.api import CostmapView, Selection, SelectorInput, SelectorRig
+from touchdown.landing.api import Selection, SelectorInput, SelectorRig
 from touchdown.landing.classification.scores import calibration
 from touchdown.landing.selection import probability as risk
 from touchdown.landing.selection.selector import select_sites
@@ -79,10 +77,12 @@ def check_map(kept: KeptMap, config: Config) -> dict[str, Any]:
     accepted = [site for site in selection.candidates
                 if site.accepted and is_judged(truth, site.position_odom)]  # fmt: skip
     verdicts = [value_at(truth, truth.safe, site.position_odom) for site in accepted]
-    barren = without_safe_ground(kept)
+    barren, grid = without_safe_ground(kept), kept.map_view.coarse
+    offered = None if barren is None else choose(barren).candidates
     clearance = np.minimum(distance_transform_edt(truth.safe) * truth.cell_m, CLEARANCE_CAP_M)
     safe, judged = on_grid(truth, costmap, costmap.total.shape)
-    seen = judged & _seen(kept.map_view.coarse, costmap)
+    returned = SafeGround(origin_xy_m=grid.origin_xy_m, cell_m=grid.cell_m, safe=grid.count > 0)
+    seen = judged & on_grid(returned, costmap, costmap.total.shape)[0]
     return {
         "scene": kept.scene,
         "seed": kept.seed,
@@ -99,11 +99,7 @@ def check_map(kept: KeptMap, config: Config) -> dict[str, Any]:
         if accepted
         else 0.0,
         "best_clearance_m": float(clearance.max()),
-        "barren_accepted": None
-        if barren is None
-        else sum(
-            site.accepted for site in choose(dataclasses.replace(kept, map_view=barren)).candidates
-        ),
+        "barren_accepted": None if offered is None else sum(site.accepted for site in offered),
         "seconds": seconds,
         "sample": _sample(kept, config, selection, safe & seen),
     }
@@ -225,12 +221,6 @@ def _gathered(places: Sequence[dict[str, Any]], key: str) -> NDArray[Any]:
 
 def _fraction(part: int, whole: int) -> float | None:
     return part / whole if whole else None
-
-
-def _seen(grid: GridMap, costmap: CostmapView) -> Mask:
-    """Cells of the costmap with returns."""
-    seen = SafeGround(origin_xy_m=grid.origin_xy_m, cell_m=grid.cell_m, safe=grid.count > 0)
-    return on_grid(seen, costmap, costmap.total.shape)[0]
 
 
 @dataclass(frozen=True, slots=True)

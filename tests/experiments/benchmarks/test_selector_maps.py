@@ -204,10 +204,10 @@ def test_the_largest_square_without_safe_ground_is_a_map_without_a_site(kept: Ke
     kept.truth.safe[:] = False
     kept.truth.safe[:, :20] = True
     kept.truth.safe[100, 90] = True
-    view = maps.without_safe_ground(kept)
-    assert view is not None
-    low = view.coarse.origin_xy_m
-    high = low + CELL * np.array(view.coarse.count.shape[::-1])
+    part = maps.without_safe_ground(kept)
+    assert part is not None
+    coarse = part.map_view.coarse
+    low, high = coarse.origin_xy_m, coarse.origin_xy_m + CELL * np.array(coarse.count.shape[::-1])
     assert low[0] >= -0.9 - 1e-9 and (high <= 10.0 + 1e-9).all()
     assert (high - low) == pytest.approx([10.8, 10.8], abs=0.41)
     (place,) = [sites.check_map(kept, sites.config_of("field", "risk", (), "crossroad", 4))]
