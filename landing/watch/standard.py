@@ -133,8 +133,7 @@ class StandardWatch:
         self._ground_z = below
         self._seen_s = seen.obs.time_s
         memory = self._memory
-        before = memory.was_free(now), memory.was_low(now), memory.rises(now, layers)
-        things = things_in(layers, corner, *before)
+        things = things_in(layers, corner, memory.was_free(now), memory.higher(now, layers))
         memory.add(now, layers)
         tops = None if seen.known is None else _known_tops(seen.known, layers, corner)
         for track in self._tracks.update(things, now, layers, corner):

@@ -22,11 +22,12 @@ _APPEARED = 0.3
 _AGO_S, _LONGEST_S = 0.55, 2.0
 """age of scans that show what has stood somewhere before"""
 _RISE_M, _LEAST_M, _MOST_M = 0.15, 0.2, 1.0
-"""by how much more than before something may have walked there, and its height: of a dog few pulses
-are higher than plants"""
+"""by how much it is higher than what was there: from low down plants are somewhat higher than from
+above; and height of a dog, of which few pulses are higher than plants"""
 _FREE_SCANS = 3
 """number of those that have to show free ground"""
 _KEPT = 20
+_BESIDE = np.ones((3, 3), np.uint8)
 _LATELY_S, _AROUND_M, _SEEN, _LOW_M = 0.6, 1.0, 0.5, 0.45
 """age of scans, distance to a place, fraction of the cells there, and height below which all has to
 be where neither a person nor a dog is"""
@@ -43,8 +44,9 @@ _FREE_LATELY = 4
 """number of the last five scans by which it stands where the ground was free, as who walks does"""
 _RUNS_MPS, _RAN_M, _OFF_M = 2.0, 2.0, 0.08
 """speed and way of what is fast, and the same of it"""
-_GOES_SCANS, _WENT_M, _STRAIGHT = 8, 1.2, 0.1
-"""scans and way of what goes on straight, and the same as a fraction of its way"""
+_GOES_SCANS, _WENT_M, _STRAIGHT, _CAME = 8, 1.2, 0.1, 1 / 3
+"""scans and way of what goes on straight, the same as a fraction of its way, and fraction of the
+scans in which it has come: who passes behind plants is hidden in some"""
 
 
 class Thing(NamedTuple):
@@ -62,7 +64,7 @@ class Thing(NamedTuple):
     appeared: float
     """fraction of its cells where the ground was free half a second and more before"""
     came: float
-    """the same where there was nothing as high: among plants no ground is free"""
+    """the same where nothing was nearly as high: among plants no ground is free"""
     sure: bool
     """one scan shows it, rather than two, or only as it is higher than what was there before"""
 
@@ -116,42 +118,30 @@ class Memory:
     def was_free(self, time_s: float) -> Mask | None:
         """Where the ground was free and nothing stood beside; None without a scan that old."""
         old = self._old(time_s)
-        return _steadily([free for _, _, free, _ in old], [rises for _, rises, _, _ in old])
+        if not old:
+            return None
+        risen = np.logical_or.reduce([rises for _, rises, _, _ in old]).astype(np.uint8)
+        often: Mask = np.add.reduce([free for _, _, free, _ in old], dtype=np.uint8) >= _FREE_SCANS
+        return often & (cv2.dilate(risen, _BESIDE) == 0)
 
-    def was_low(self, time_s: float) -> Mask | None:
-        """The same of what is as low as plants."""
-        heights = [height for *_, height in self._old(time_s)]
-        return _steadily([h < _MIN_NEW_M for h in heights], [h >= _MIN_NEW_M for h in heights])
-
-    def rises(self, time_s: float, layers: Layers) -> Mask:
-        """Where something that is no higher than a dog stands above all that was there before."""
-        old, height = [heights for *_, heights in self._old(time_s)], layers.high - layers.ground
+    def higher(self, time_s: float, layers: Layers) -> Mask:
+        """Where something stands above all that was there, and beside, before."""
+        old = [height for *_, height in self._old(time_s)]
         if not old:
             return np.zeros_like(layers.tall)
         often = np.add.reduce([np.isfinite(one) for one in old], dtype=np.uint8) >= _FREE_SCANS
-        before = np.nan_to_num(np.fmax.reduce(old), nan=0.0)
-        higher = height > cv2.dilate(before, np.ones((3, 3), np.uint8)) + _RISE_M
-        low: Mask = (height > _LEAST_M) & (height < _MOST_M)
-        return layers.steep & often & higher & low
+        before = cv2.dilate(np.nan_to_num(np.fmax.reduce(old), nan=0.0), _BESIDE)
+        above: Mask = layers.high - layers.ground > before + _RISE_M
+        return often & above
 
     def _old(self, time_s: float) -> list[tuple[float, Mask, Mask, Float32]]:
         return [one for one in self._scans if _AGO_S <= time_s - one[0] <= _LONGEST_S]
 
 
-def _steadily(free: list[Mask], rises: list[Mask]) -> Mask | None:
-    """Where enough scans were free and none rose, nor beside; None without scans."""
-    if not free:
-        return None
-    risen = np.logical_or.reduce(rises).astype(np.uint8)
-    often: Mask = np.add.reduce(free, dtype=np.uint8) >= _FREE_SCANS
-    return often & (cv2.dilate(risen, np.ones((3, 3), np.uint8)) == 0)
-
-
-def things_in(
-    layers: Layers, corner: Array, was_free: Mask | None, was_low: Mask | None, rises: Mask
-) -> list[Thing]:
+def things_in(layers: Layers, corner: Array, was_free: Mask | None, higher: Mask) -> list[Thing]:
     """Returns what stands on the ground. ``corner`` (2,): of the grid, odom frame."""
-    stands = layers.tall | rises
+    up = layers.high - layers.ground
+    stands = layers.tall | (layers.steep & higher & (up > _LEAST_M) & (up < _MOST_M))
     count, labels = cv2.connectedComponents(stands.astype(np.uint8), connectivity=8)
     rows, cols = np.nonzero(stands)
     owner = labels[rows, cols]
@@ -162,7 +152,7 @@ def things_in(
     for first, last in itertools.pairwise(bounds):
         at = rows[first:last], cols[first:last]
         returns = layers.returns[at]
-        height = float((layers.high[at] - layers.ground[at]).max())
+        height = float(up[at].max())
         few = last - first < _MIN_CELLS or returns.sum() < _MIN_RETURNS
         if few or not layers.newest[at].any():
             continue
@@ -173,7 +163,7 @@ def things_in(
             middle=np.average(cells, axis=0, weights=returns), cells=cells,
             top=float(layers.high[at].max()), tops=layers.high[at].astype(np.float64),
             height_m=height, appeared=0.0 if was_free is None else float(was_free[at].mean()),
-            came=0.0 if was_low is None else float(was_low[at].mean()),
+            came=float(higher[at].mean()),
             sure=bool(
                 layers.alone[at].sum() >= _MIN_CELLS
                 and (layers.fresh * layers.alone)[at].sum() >= _MIN_RETURNS
@@ -201,7 +191,8 @@ class Track:
     """(2,) m/s; 0 where it is not known to move"""
     drift: Array = field(default_factory=lambda: np.zeros(2))
     """(2,) m/s, by which it is looked for in the next scan: of who walks before that is sure"""
-    path: deque[tuple[float, Array]] = field(default_factory=lambda: deque(maxlen=_KEPT))
+    path: deque[tuple[float, Array, bool]] = field(default_factory=lambda: deque(maxlen=_KEPT))
+    """when, where, and whether it had come"""
 
     def at(self, time_s: float) -> Array:
         """(2,) where its middle is expected."""
@@ -222,13 +213,14 @@ class Track:
         high = self.thing.height_m >= _MIN_NEW_M
         sure = high and self.thing.sure
         self.appeared += sure and self.thing.appeared >= _APPEARED
-        self.lately.append(sure and self.thing.came >= _APPEARED)
-        self.path.append((self.seen_s, self.thing.middle))
-        near = [(t, xy) for t, xy in self.path if self.seen_s - t <= _FIT_S]
-        times = np.array([t for t, _ in near]) - self.seen_s
+        came = self.thing.came >= _APPEARED
+        self.lately.append(sure and came)
+        self.path.append((self.seen_s, self.thing.middle, came))
+        near = [one for one in self.path if self.seen_s - one[0] <= _FIT_S]
+        times = np.array([t for t, *_ in near]) - self.seen_s
         if len(near) < _FIT_SCANS or -times[0] < _FIT_SPAN_S:
             return
-        places = np.array([xy for _, xy in near])
+        places = np.array([xy for _, xy, _ in near])
         line = np.polynomial.polynomial.polyfit(times, places, 1)
         slope, off = line[1], places - np.polynomial.polynomial.polyval(times, line).T
         spread = np.sqrt((off**2).sum(axis=1).mean())
@@ -243,8 +235,9 @@ class Track:
         # Far away too few pulses tell whether the ground was free before. Bushes that are taken for
         # one thing do not lie on a line in equal steps.
         runs = speed > _RUNS_MPS and way > _RAN_M
-        # From low down nothing tells what was free; few bushes lie on a line for so many scans.
-        goes = len(near) >= _GOES_SCANS and way > _WENT_M and spread < _STRAIGHT * way
+        # From low down little tells what was free; few bushes lie on a line for so many scans.
+        often = np.mean([came for *_, came in near]) > _CAME
+        goes = len(near) >= _GOES_SCANS and way > _WENT_M and spread < _STRAIGHT * way and often
         one = (moves and straight) or (runs and spread < _OFF_M) or goes
         self.velocity = slope if one else np.zeros(2)
         self.drift = slope if one or straight else np.zeros(2)
