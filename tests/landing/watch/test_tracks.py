@@ -9,7 +9,8 @@ from touchdown.sim.typing import Array
 
 SIZE, SCAN_S = 100, 0.1
 _NONE = np.zeros((SIZE, SIZE), bool)
-_UNKNOWN = np.full((SIZE, SIZE), np.nan, np.float32)
+_LEVEL = np.zeros((SIZE, SIZE), np.float32)
+_UNKNOWN = np.full_like(_LEVEL, np.nan)
 UNSEEN = Layers(*(_NONE,) * 5, *(_UNKNOWN,) * 5)
 
 
@@ -66,14 +67,13 @@ def test_what_is_as_low_as_plants_does_not_walk() -> None:
 
 
 def test_scans_tell_that_nobody_is_as_high_as_he_would_be() -> None:
-    ground = np.zeros((SIZE, SIZE), np.float32)
-    high = np.full_like(ground, 0.02)
+    high = np.full_like(_LEVEL, 0.02)
     high[50:52, 50:52] = 0.4
     high[60, 60] = 0.5
     high[70:90, 70:90] = -np.inf
     seen = np.isfinite(high).astype(np.float32)
     memory = Memory()
-    memory.add(0.0, Layers(*(_NONE,) * 5, seen, seen, ground, ground, high))
+    memory.add(0.0, Layers(*(_NONE,) * 5, seen, seen, _LEVEL, _LEVEL, high))
     low = [memory.is_low(0.5, np.array([at, at])) for at in (30, 51, 56, 80, 2, 97)]
     assert low == [True, True, False, False, False, False]
     assert not memory.is_low(1.0, np.array([30, 30]))
@@ -83,16 +83,15 @@ def test_scans_tell_that_nobody_is_as_high_as_he_would_be() -> None:
 
 def test_among_plants_nothing_is_free() -> None:
     """A meadow of 0.3 m beside a bare half, and a bush that only one scan meets."""
-    memory, ground = Memory(), np.zeros((SIZE, SIZE), np.float32)
+    memory = Memory()
     for scan in range(6):
-        high = np.full_like(ground, 0.02)
+        high = np.full_like(_LEVEL, 0.02)
         high[:, :50] = 0.3
-        if scan == 2:
-            high[40, 60] = 0.5
-        seen = np.ones_like(ground)
+        high[40, 60] = 0.5 if scan == 2 else 0.02
+        seen = np.ones_like(_LEVEL)
         seen[60:, 60:] = float(scan < 2)
         free = (high < 0.15) & (seen > 0.0)
-        memory.add(0.1 * scan, Layers(*(_NONE,) * 4, free, seen, seen, ground, ground, high))
+        memory.add(0.1 * scan, Layers(*(_NONE,) * 4, free, seen, seen, _LEVEL, _LEVEL, high))
     assert memory.was_free(0.5) is None
     was_free = memory.was_free(1.1)
     assert was_free is not None and was_free[50, 60] and not was_free[50, 30]
@@ -173,19 +172,18 @@ def test_what_is_only_higher_than_before_has_not_appeared(sure: bool, counted: i
 
 
 def test_who_comes_is_higher_than_all_that_was_there_before() -> None:
-    memory, ground = Memory(), np.zeros((SIZE, SIZE), np.float32)
-    seen = np.ones_like(ground)
+    memory, seen = Memory(), np.ones_like(_LEVEL)
     for scan in range(6):
-        high = np.full_like(ground, 0.06)
+        high = np.full_like(_LEVEL, 0.06)
         high[40, 20] = 0.4 if scan == 2 else 0.06
         high[50, 50] = 0.06 if scan < 2 else -np.inf
         seen[50, 50] = float(scan < 2)
-        memory.add(0.1 * scan, Layers(*(_NONE,) * 5, seen, seen, ground, ground, high))
+        memory.add(0.1 * scan, Layers(*(_NONE,) * 5, seen, seen, _LEVEL, _LEVEL, high))
 
     def higher(row: int, col: int, top_m: float, time_s: float = 1.1) -> bool:
-        high = np.full_like(ground, 0.06)
+        high = np.full_like(_LEVEL, 0.06)
         high[row, col] = top_m
-        layers = Layers(*(_NONE,) * 5, seen, seen, ground, ground, high)
+        layers = Layers(*(_NONE,) * 5, seen, seen, _LEVEL, _LEVEL, high)
         return bool(memory.higher(time_s, layers)[row, col])
 
     assert [higher(30, 30, top) for top in (0.2, 0.22, 1.7)] == [False, True, True]
@@ -195,16 +193,15 @@ def test_who_comes_is_higher_than_all_that_was_there_before() -> None:
 
 
 def test_what_is_higher_than_before_is_a_thing_that_is_not_sure() -> None:
-    higher, ground = _NONE.copy(), np.zeros((SIZE, SIZE), np.float32)
+    higher, returns = _NONE.copy(), np.full_like(_LEVEL, 4.0)
     higher[40, 20:22] = True
-    returns = np.full_like(ground, 4.0)
-    low = Layers(_NONE, _NONE, higher, ~_NONE, _NONE, returns, returns, ground, ground, ground)
+    low = Layers(_NONE, _NONE, higher, ~_NONE, _NONE, returns, returns, *(_LEVEL,) * 3)
     found = [
-        len(things_in(low._replace(high=ground + top), np.zeros(2), None, higher))
+        len(things_in(low._replace(high=_LEVEL + top), np.zeros(2), None, higher))
         for top in (0.19, 0.31, 0.99, 1.1)
     ]
     assert found == [0, 1, 1, 0]
-    layers = low._replace(high=ground + np.float32(0.4))
+    layers = low._replace(high=_LEVEL + np.float32(0.4))
     (thing,) = things_in(layers, np.zeros(2), None, higher)
     assert not thing.sure and len(thing.cells) == 2 and thing.came == 1.0
     along = layers._replace(steep=_NONE)
