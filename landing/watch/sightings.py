@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from touchdown.landing.watch.people import SURE, PeopleDetector
+from touchdown.landing.watch.people import SURE, PeopleDetector, Person
 from touchdown.sim.api import CameraImage, SensorRig
 from touchdown.sim.frames import Pose
 from touchdown.sim.geometry.lens import bearing, project
@@ -18,6 +18,8 @@ _TWICE = 2
 """images in which somebody has to be found who is not found surely"""
 _LATELY_S, _MOVES_AFTER, _MOVES_MPS = 0.9, 3, 0.7
 """time over which a velocity is measured, images that it needs, and speed below which one stands"""
+_BORDER_PX = 4.0
+"""distance to the border of an image within which a box may be of a part of somebody"""
 _LOST_S = 0.7
 """time after which somebody is gone who should be in the image and is not found"""
 _REMEMBERED_S = 10.0
@@ -88,7 +90,7 @@ class Sightings:
             if same is None:
                 self._known.append(Sighting([image.time_s], [xy], box.score))
             elif same.last_s < image.time_s:
-                same.add(image.time_s, xy, box.score)
+                same.add(image.time_s, xy if self._is_whole(box) else same.xy_odom, box.score)
         self._known = [
             one for one in self._known if self._counts(one, image.time_s, camera, ground_z)
         ]
@@ -102,6 +104,11 @@ class Sightings:
         if ago <= _LOST_S:
             return True
         return ago <= _REMEMBERED_S and not self._in_image(one.xy_odom, camera, ground_z)
+
+    def _is_whole(self, box: Person) -> bool:
+        """Whether the border of the image does not cut a box: the middle of a part wanders."""
+        k, near = self._rig.camera, min(box.x0, box.y0)
+        return near > _BORDER_PX and max(box.x1 - k.width, box.y1 - k.height) < -_BORDER_PX
 
     def _place(self, two_x: float, two_y: float, camera: Pose, ground_z: float) -> Array | None:
         """(2,) where the ray through the middle of a box meets the height of a person's middle."""

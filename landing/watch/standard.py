@@ -14,7 +14,7 @@ from touchdown.landing.watch.footing import footing, nearest_safe, water_fractio
 from touchdown.landing.watch.people import SHIPPED, PeopleDetector
 from touchdown.landing.watch.sightings import Sighting, Sightings
 from touchdown.landing.watch.surface import CELL_M, Layers, Surface
-from touchdown.landing.watch.tracks import Memory, Track, Tracks, things_in
+from touchdown.landing.watch.tracks import MIN_NEW_M, Memory, Track, Tracks, things_in
 from touchdown.sim.api import LidarScan, SensorNeeds
 from touchdown.sim.frames import PoseHistory
 from touchdown.sim.typing import Array, Indices
@@ -178,7 +178,7 @@ class StandardWatch:
                 kind = "moving"
             elif max(track.appeared, track.new) >= _SCANS:
                 kind = "new"
-            elif distance < _LEGS_M and thing.sure:
+            elif distance < _LEGS_M and thing.sure and thing.height_m >= MIN_NEW_M:
                 kind = "object"
         return Finding(
             kind=kind, position_odom=np.array([*at, thing.top]), velocity_odom=track.velocity,

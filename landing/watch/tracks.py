@@ -15,7 +15,7 @@ _MIN_CELLS, _MIN_RETURNS = 2, 6
 _MIN_HEIGHT_M, _MAX_HEIGHT_M = 0.3, 2.5
 """what may walk or be put on a site: higher things are trees and houses"""
 _MAX_WIDTH_M = 6.0
-_MIN_NEW_M = 0.35
+MIN_NEW_M = 0.35
 """height from which it may have appeared: crops and meadows are up to 0.3 m high, and noise"""
 _APPEARED = 0.3
 """fraction of its cells"""
@@ -37,16 +37,16 @@ _FORGET_S, _LOST_S = 4.0, 0.35
 """time for which something is kept that is out of sight, and that should be seen"""
 _FIT_S, _FIT_SPAN_S, _FIT_SCANS = 1.2, 0.35, 4
 _MOVES_MPS, _MOVED_M = 0.35, 0.25
-_LOOSE_M, _BENT = 0.2, 0.2
-"""root mean square of the distances from one straight motion up to which it is one thing, and the
-same as a fraction of its way"""
+_LOOSE_M, _BENT, _STRAIGHT = 0.2, 0.2, 0.1
+"""root mean square of the distances from one straight motion up to which it is one thing, the same
+as a fraction of its way, and the fraction up to which it moves"""
 _FREE_LATELY = 4
 """number of the last five scans by which it stands where the ground was free, as who walks does"""
 _RUNS_MPS, _RAN_M, _OFF_M = 2.0, 2.0, 0.08
-"""speed and way of what is fast, and the same of it"""
-_GOES_SCANS, _WENT_M, _STRAIGHT, _CAME = 8, 1.2, 0.1, 1 / 3
-"""scans and way of what goes on straight, the same as a fraction of its way, and fraction of the
-scans in which it has come: who passes behind plants is hidden in some"""
+"""speed and way of what is fast, and its distance from a straight motion"""
+_GOES_SCANS, _WENT_M, _CAME = 8, 1.2, 1 / 3
+"""scans and way of what goes on, and fraction of the scans in which it has come: plants hide who
+passes behind them in some"""
 
 
 class Thing(NamedTuple):
@@ -210,7 +210,7 @@ class Track:
         self._follow()
 
     def _follow(self) -> None:
-        high = self.thing.height_m >= _MIN_NEW_M
+        high = self.thing.height_m >= MIN_NEW_M
         sure = high and self.thing.sure
         self.appeared += sure and self.thing.appeared >= _APPEARED
         came = self.thing.came >= _APPEARED
@@ -228,19 +228,19 @@ class Track:
         moved = np.linalg.norm(places[half:].mean(axis=0) - places[:half].mean(axis=0))
         speed = np.hypot(*slope)
         way = speed * -times[0]
-        straight = spread < min(_LOOSE_M, _BENT * way)
+        one = spread < min(_LOOSE_M, _BENT * way)
+        straight = spread < _STRAIGHT * way
         # What comes into view seems to move too; but it has not been seen free before.
         free = sum(self.lately) >= _FREE_LATELY
         moves = speed > _MOVES_MPS and 2.0 * moved > _MOVED_M and free
         # Far away too few pulses tell whether the ground was free before. Bushes that are taken for
         # one thing do not lie on a line in equal steps.
-        runs = speed > _RUNS_MPS and way > _RAN_M
+        runs = speed > _RUNS_MPS and way > _RAN_M and spread < _OFF_M
         # From low down little tells what was free; few bushes lie on a line for so many scans.
         often = np.mean([came for *_, came in near]) > _CAME
-        goes = len(near) >= _GOES_SCANS and way > _WENT_M and spread < _STRAIGHT * way and often
-        one = (moves and straight) or (runs and spread < _OFF_M) or goes
-        self.velocity = slope if one else np.zeros(2)
-        self.drift = slope if one or straight else np.zeros(2)
+        goes = len(near) >= _GOES_SCANS and way > _WENT_M and often
+        self.velocity = slope if runs or (straight and (moves or goes)) else np.zeros(2)
+        self.drift = slope if one or self.moves else np.zeros(2)
 
 
 class Tracks:

@@ -4,13 +4,9 @@ import functools
 import json
 import os
 import shutil
-from pathlib import Path
-
-os.environ.setdefault("MUJOCO_GL", "egl")
-
-import os
 import subprocess
 import sys
+from pathlib import Path
 
 import cv2
 import numpy as np

@@ -1,9 +1,6 @@
 """Scenes with ground that resembles landing sites, surveyed with the simulated sensors."""
 
-import os
 from pathlib import Path
-
-os.environ.setdefault("MUJOCO_GL", "egl")
 
 import numpy as np
 import pytest

@@ -17,11 +17,11 @@ RIG: Any = SimpleNamespace(camera=LENS, body_from_camera=DOWN)
 
 
 class Seen:
-    """Finds people at places (x, y, z), world frame, from a pose, as boxes of 20 pixels."""
+    """Finds people at places (x, y, z), world frame, from a pose, as boxes that the image cuts."""
 
     def __init__(self) -> None:
         self.people: list[tuple[float, float, float]] = []
-        self.score = 0.45
+        self.score, self.half_px = 0.45, 10.0
         self.pose = Pose(np.eye(3), np.zeros(3))
 
     def find(self, _image: Any, metres_per_pixel: float) -> tuple[Person, ...]:
@@ -31,7 +31,8 @@ class Seen:
             x, y, z = (self.pose @ DOWN).inverse().apply(np.array(place))
             u, v = LENS.fx * x / z + LENS.cx, LENS.fy * y / z + LENS.cy
             if 0 <= u < LENS.width and 0 <= v < LENS.height:
-                found.append(Person(u - 10, v - 10, u + 10, v + 10, self.score))
+                box = np.array([u, v, u, v]) + self.half_px * np.array([-1.0, -1.0, 1.0, 1.0])
+                found.append(Person(*np.clip(box, 0.0, [847.0, 479.0] * 2), self.score))
         return tuple(found)
 
 
@@ -98,6 +99,14 @@ def test_who_has_gone_is_forgotten_and_who_left_the_image_is_not() -> None:
     for _ in range(52):
         left = watched.image(4.0)
     assert left == []
+
+
+@pytest.mark.parametrize("y", [5.0, -5.0])
+def test_whom_the_border_of_an_image_cuts_has_not_moved(y: float) -> None:
+    watched = Watched()
+    watched.seen.half_px = 80.0
+    assert [watched.image(sinks, (0.0, y)) for sinks in (9.97, 8.99, 8.21)][1:] == [[(0.0, y)]] * 2
+    assert not watched.sightings.present()[0].velocity_odom.any()
 
 
 def test_what_is_level_with_the_camera_has_no_place() -> None:

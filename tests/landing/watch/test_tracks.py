@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from touchdown.landing.watch.surface import CELL_M, Layers
-from touchdown.landing.watch.tracks import Memory, Thing, Tracks, things_in
+from touchdown.landing.watch.tracks import Memory, Thing, Track, Tracks, things_in
 from touchdown.sim.typing import Array
 
 SIZE, SCAN_S = 100, 0.1
@@ -14,56 +14,63 @@ _UNKNOWN = np.full_like(_LEVEL, np.nan)
 UNSEEN = Layers(*(_NONE,) * 5, *(_UNKNOWN,) * 5)
 
 
-def velocity_of(
+def followed(
     path: Array, came: float = 0.0, known: int = 0, height_m: float = 1.6, sure: bool = True
-) -> Array:
+) -> Track:
     """``known``: number of the last scans in which it has not come."""
     tracks = Tracks()
     for i, at in enumerate(path):
         cells = at + np.array([[0.0, 0.0], [0.2, 0.0], [0.4, 0.0]])
         new = came if i < len(path) - known else 0.0
         thing = Thing(at, cells, 1.6, np.full(3, 1.6), height_m, appeared=0.0, came=new, sure=sure)
-        (track,) = tracks.update([thing], i * SCAN_S, UNSEEN, np.zeros(2))
-    return track.velocity
+        tracks.update([thing], i * SCAN_S, UNSEEN, np.zeros(2))
+    return tracks.tracks[0]
+
+
+def way(mps: float, scans: int = 6, off_m: float = 0.0) -> Array:
+    """Straight on; every other place is beside it."""
+    path = np.column_stack([14.0 - mps * SCAN_S * np.arange(scans), np.full(scans, 10.0)])
+    path[1::2, 1] += off_m
+    return path
 
 
 @pytest.mark.parametrize(
     ("mps", "off_m", "runs"), [(5.0, 0.0, True), (4.9, 0.2, False), (1.8, 0.0, False)]
 )
 def test_who_is_fast_moves_wherever_he_comes_from(mps: float, off_m: float, runs: bool) -> None:
-    path = np.column_stack([14.0 - mps * SCAN_S * np.arange(6), np.full(6, 10.0)])
-    path[1::2, 1] += off_m
-    np.testing.assert_allclose(velocity_of(path), [-mps, 0.0] if runs else [0.0, 0.0], atol=1e-6)
+    velocity = followed(way(mps, off_m=off_m)).velocity
+    np.testing.assert_allclose(velocity, [-mps, 0.0] if runs else [0.0, 0.0], atol=1e-6)
 
 
 @pytest.mark.parametrize(("off_m", "moves"), [(0.0, True), (0.5, False)])
 def test_who_walks_goes_straight_on(off_m: float, moves: bool) -> None:
-    path = np.column_stack([14.0 - 1.9 * SCAN_S * np.arange(13), np.full(13, 10.0)])
-    path[1::2, 1] += off_m
-    assert velocity_of(path, came=1.0)[0] == pytest.approx(-1.9 if moves else 0.0, abs=1e-6)
+    velocity = followed(way(1.9, 13, off_m), came=1.0).velocity
+    assert velocity[0] == pytest.approx(-1.9 if moves else 0.0, abs=1e-6)
 
 
-@pytest.mark.parametrize(("off_m", "moves"), [(0.05, True), (0.3, False)])
-def test_over_a_short_way_it_is_straighter(off_m: float, moves: bool) -> None:
-    path = np.column_stack([14.0 - 1.2 * SCAN_S * np.arange(6), np.full(6, 10.0)])
-    path[1::2, 1] += off_m
-    assert bool(velocity_of(path, came=1.0).any()) is moves
+@pytest.mark.parametrize(
+    ("mps", "off_m", "came", "moves", "one"),
+    [(1.2, 0.05, 1.0, True, True), (1.2, 0.15, 1.0, False, True), (1.2, 0.3, 1.0, False, False),
+     (4.9, 0.45, 0.0, False, False)],
+)  # fmt: skip
+def test_what_is_followed_is_one_thing_and_moves_if_it_is_straighter(
+    mps: float, off_m: float, came: float, moves: bool, one: bool
+) -> None:
+    track = followed(way(mps, off_m=off_m), came)
+    assert (track.velocity.any(), track.drift.any()) == (moves, one)
 
 
 @pytest.mark.parametrize(("known", "moves"), [(1, True), (2, False)])
 def test_who_walks_is_where_the_ground_was_free(known: int, moves: bool) -> None:
-    path = np.column_stack([14.0 - 1.2 * SCAN_S * np.arange(6), np.full(6, 10.0)])
-    assert bool(velocity_of(path, came=1.0, known=known).any()) is moves
+    assert followed(way(1.2), came=1.0, known=known).moves is moves
 
 
 def test_who_is_not_surely_there_has_not_come() -> None:
-    path = np.column_stack([14.0 - 1.2 * SCAN_S * np.arange(6), np.full(6, 10.0)])
-    assert [velocity_of(path, came=1.0, sure=s).any() for s in (True, False)] == [True, False]
+    assert [followed(way(1.2), came=1.0, sure=s).moves for s in (True, False)] == [True, False]
 
 
 def test_what_is_as_low_as_plants_does_not_walk() -> None:
-    path = np.column_stack([14.0 - 1.2 * SCAN_S * np.arange(6), np.full(6, 10.0)])
-    assert [velocity_of(path, came=1.0, height_m=h).any() for h in (0.3, 0.4)] == [False, True]
+    assert [followed(way(1.2), came=1.0, height_m=h).moves for h in (0.3, 0.4)] == [False, True]
 
 
 def test_scans_tell_that_nobody_is_as_high_as_he_would_be() -> None:
@@ -107,9 +114,7 @@ def test_among_plants_nothing_is_free() -> None:
 def test_who_goes_on_straight_moves_though_plants_hide_him(
     scans: int, mps: float, off_m: float, known: int, goes: bool
 ) -> None:
-    path = np.column_stack([14.0 - mps * SCAN_S * np.arange(scans), np.full(scans, 10.0)])
-    path[1::2, 1] += off_m
-    assert bool(velocity_of(path, came=1.0, known=known).any()) is goes
+    assert followed(way(mps, scans, off_m), came=1.0, known=known).moves is goes
 
 
 def follow(tracks: Tracks, seen: dict[int, list[tuple[float, float]]]) -> None:
@@ -138,8 +143,7 @@ def test_a_thing_belongs_to_the_track_that_expects_it_nearest() -> None:
 
 
 def test_a_short_way_is_no_run() -> None:
-    path = np.column_stack([np.linspace(14.0, 12.1, 6), np.full(6, 10.0)])
-    assert not velocity_of(path).any()
+    assert not followed(way(3.8)).moves
 
 
 def test_a_thing_is_as_high_as_it_stands_above_the_ground() -> None:
@@ -204,8 +208,7 @@ def test_what_is_higher_than_before_is_a_thing_that_is_not_sure() -> None:
     layers = low._replace(high=_LEVEL + np.float32(0.4))
     (thing,) = things_in(layers, np.zeros(2), None, higher)
     assert not thing.sure and len(thing.cells) == 2 and thing.came == 1.0
-    along = layers._replace(steep=_NONE)
-    assert not things_in(along, np.zeros(2), None, higher)
+    assert not things_in(layers._replace(steep=_NONE), np.zeros(2), None, higher)
     tall = layers._replace(tall=higher)
     assert not things_in(tall, np.zeros(2), None, _NONE)[0].sure  # two scans show it
     alone = tall._replace(alone=higher)
