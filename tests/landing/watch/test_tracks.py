@@ -49,14 +49,14 @@ def test_who_walks_goes_straight_on(off_m: float, moves: bool) -> None:
 
 
 @pytest.mark.parametrize(
-    ("mps", "off_m", "came", "moves", "one"),
-    [(1.2, 0.05, 1.0, True, True), (1.2, 0.15, 1.0, False, True), (1.2, 0.3, 1.0, False, False),
-     (4.9, 0.45, 0.0, False, False)],
+    ("scans", "off_m", "came", "moves", "one"),
+    [(6, 0.05, 1.0, True, True), (6, 0.15, 1.0, False, True), (6, 0.3, 1.0, False, False),
+     (13, 0.45, 0.0, False, False)],
 )  # fmt: skip
 def test_what_is_followed_is_one_thing_and_moves_if_it_is_straighter(
-    mps: float, off_m: float, came: float, moves: bool, one: bool
+    scans: int, off_m: float, came: float, moves: bool, one: bool
 ) -> None:
-    track = followed(way(mps, off_m=off_m), came)
+    track = followed(way(0.2 * scans, scans, off_m), came)
     assert (track.velocity.any(), track.drift.any()) == (moves, one)
 
 
