@@ -106,9 +106,9 @@ class Sightings:
         return ago <= _REMEMBERED_S and not self._in_image(one.xy_odom, camera, ground_z)
 
     def _is_whole(self, box: Person) -> bool:
-        """Whether the border of the image does not cut a box: the middle of a part wanders."""
-        k, near = self._rig.camera, min(box.x0, box.y0)
-        return near > _BORDER_PX and max(box.x1 - k.width, box.y1 - k.height) < -_BORDER_PX
+        """Whether a box is well inside of the image: the middle of a part of somebody wanders."""
+        beyond = max(box.x1 - self._rig.camera.width, box.y1 - self._rig.camera.height)
+        return min(box.x0, box.y0, -beyond) > _BORDER_PX
 
     def _place(self, two_x: float, two_y: float, camera: Pose, ground_z: float) -> Array | None:
         """(2,) where the ray through the middle of a box meets the height of a person's middle."""

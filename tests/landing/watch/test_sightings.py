@@ -101,11 +101,11 @@ def test_who_has_gone_is_forgotten_and_who_left_the_image_is_not() -> None:
     assert left == []
 
 
-@pytest.mark.parametrize("y", [5.0, -5.0])
-def test_whom_the_border_of_an_image_cuts_has_not_moved(y: float) -> None:
+@pytest.mark.parametrize("at", [(0.0, 5.0), (0.0, -5.0), (2.2, 0.0), (-2.2, 0.0)])
+def test_whom_the_border_of_an_image_cuts_has_not_moved(at: tuple[float, float]) -> None:
     watched = Watched()
     watched.seen.half_px = 80.0
-    assert [watched.image(sinks, (0.0, y)) for sinks in (9.97, 8.99, 8.21)][1:] == [[(0.0, y)]] * 2
+    assert [watched.image(height, at) for height in (9.97, 8.99, 8.21)] == [[], [at], [at]]
     assert not watched.sightings.present()[0].velocity_odom.any()
 
 
