@@ -29,6 +29,9 @@ _PERSON_M, _PERSON_S, _TALL_M = 3.5, 2.0, 1.7
 until when; height that somebody is shown with"""
 _MOVER_M = 3.0
 """distance to the site within which nothing that moves may be at the touchdown"""
+_SOON_S = 2.0
+"""time in which what moves may be at the site that is believed at once: two scans in a row have to
+say that others move"""
 _LEGS_M = 0.6
 """radius of what the vehicle touches the ground with"""
 _REACT_S, _BRAKE_MPS2 = 0.3, 2.0
@@ -174,7 +177,8 @@ class StandardWatch:
         distance = float(np.linalg.norm(cells - seen.site_odom[:2], axis=1).min()) - 0.5 * CELL_M
         kind: Literal["moving", "new", "object", "known"] = "known"
         if track.seen >= _SCANS:
-            if track.moves:
+            soon = distance < _SOON_S * float(np.hypot(*track.velocity))
+            if track.moving >= (1 if soon else _SCANS):
                 kind = "moving"
             elif max(track.appeared, track.new) >= _SCANS:
                 kind = "new"

@@ -189,6 +189,8 @@ class Track:
     """number of scans in which the map did not have it"""
     velocity: Array = field(default_factory=lambda: np.zeros(2))
     """(2,) m/s; 0 where it is not known to move"""
+    moving: int = 0
+    """number of scans in a row in which it moved"""
     drift: Array = field(default_factory=lambda: np.zeros(2))
     """(2,) m/s, by which it is looked for in the next scan: of who walks before that is sure"""
     path: deque[tuple[float, Array, bool]] = field(default_factory=lambda: deque(maxlen=_KEPT))
@@ -201,7 +203,7 @@ class Track:
     @property
     def moves(self) -> bool:
         """True for what walks, drives or rolls."""
-        return bool(self.velocity.any())
+        return self.moving > 0
 
     def see(self, thing: Thing, time_s: float) -> None:
         """Takes over where it is now."""
@@ -229,7 +231,7 @@ class Track:
         speed = np.hypot(*slope)
         way = speed * -times[0]
         one = spread < min(_LOOSE_M, _BENT * way)
-        straight = spread < _STRAIGHT * way
+        straight = one and spread < _STRAIGHT * way
         # What comes into view seems to move too; but it has not been seen free before.
         free = sum(self.lately) >= _FREE_LATELY
         moves = speed > _MOVES_MPS and 2.0 * moved > _MOVED_M and free
@@ -240,7 +242,8 @@ class Track:
         often = np.mean([came for *_, came in near]) > _CAME
         goes = len(near) >= _GOES_SCANS and way > _WENT_M and often
         self.velocity = slope if runs or (straight and (moves or goes)) else np.zeros(2)
-        self.drift = slope if one or self.moves else np.zeros(2)
+        self.moving = self.moving + 1 if self.velocity.any() else 0
+        self.drift = slope if one else np.zeros(2)
 
 
 class Tracks:

@@ -109,7 +109,7 @@ def test_among_plants_nothing_is_free() -> None:
 @pytest.mark.parametrize(
     ("scans", "mps", "off_m", "known", "goes"),
     [(8, 1.8, 0.1, 5, True), (6, 1.9, 0.0, 2, False), (8, 1.6, 0.0, 5, False),
-     (8, 1.8, 0.5, 5, False), (8, 1.8, 0.1, 6, False)],
+     (8, 1.8, 0.5, 5, False), (8, 1.8, 0.1, 6, False), (13, 2.2, 0.45, 0, False)],
 )  # fmt: skip
 def test_who_goes_on_straight_moves_though_plants_hide_him(
     scans: int, mps: float, off_m: float, known: int, goes: bool
