@@ -23,9 +23,10 @@ def ragged_texels(*noises: Float32) -> int:
 
 def mixed_blocks(material: Bytes, side: int) -> NDArray[np.bool_]:
     """Whether a block of ``side`` texels and its neighbours are of several materials."""
-    rows, cols = (np.arange(0, length, side) for length in material.shape)
-    low = np.minimum.reduceat(np.minimum.reduceat(material, rows, axis=0), cols, axis=1)
-    high = np.maximum.reduceat(np.maximum.reduceat(material, rows, axis=0), cols, axis=1)
+    bands = [material[row : row + side] for row in range(0, len(material), side)]
+    cols = np.arange(0, material.shape[1], side)
+    low = np.minimum.reduceat([band.min(axis=0) for band in bands], cols, axis=1)
+    high = np.maximum.reduceat([band.max(axis=0) for band in bands], cols, axis=1)
     around = {"size": 3, "mode": "nearest"}
     near = ndimage.minimum_filter(low, **around) != ndimage.maximum_filter(high, **around)
     return np.asarray(near)

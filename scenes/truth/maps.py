@@ -12,6 +12,7 @@ point (`scenes.api.TruthMaps.safe_geometry`) means:
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
@@ -159,9 +160,8 @@ def geometric_rule(
 
 def _dilate(mask: NDArray[np.bool_], radius_m: float, cell_m: float) -> NDArray[np.bool_]:
     """Cells within ``radius_m`` of a set cell (exact Euclidean distance)."""
-    if not mask.any():
-        return mask
-    return ndimage.distance_transform_edt(~mask) * cell_m <= radius_m + 1e-9
+    window = _disc_mask(radius_m, cell_m).astype(np.uint8)
+    return np.asarray(cv2.dilate(mask.astype(np.uint8), window) > 0)
 
 
 def _disc_mask(radius_m: float, cell_m: float) -> NDArray[np.bool_]:
